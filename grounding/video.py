@@ -1,12 +1,17 @@
 """Grounding of a video, the one way in: choose its camera, track gripper or flange, confirm the camera by the arm."""
 
 from kinebench_drake.camera import Camera, CameraSource, benchmark_camera
+from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.grounding.anomaly.camera_motion import find_cuts
 from kinebench_drake.grounding.camera.choice import CameraChooser, PriorSource
 from kinebench_drake.grounding.camera.evidence import CameraChoice
 from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.grounding.priors import NO_PRIORS, Clip, Priors
 from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.models.panda.description import GripperKind
+
+_LISTED_CUTS = 10
+"""Most cuts that a message names."""
 
 
 class Grounder:
@@ -46,9 +51,16 @@ class Grounder:
 
         Raises:
             InputError: the priors do not fit the video.
-            UnmeasurableError: the shape of the video does not fit the named camera, or no gripper is seen.
+            UnmeasurableError: the shape of the video does not fit the named camera, no gripper is seen, or the video
+                consists of several clips.
             SetupError: weights or libraries are missing.
         """
+        cuts = [] if trusts_camera else find_cuts(clip.frames)
+        if cuts:
+            places = f"frame{'s' if len(cuts) > 1 else ''} {', '.join(map(str, cuts[:_LISTED_CUTS]))}"
+            raise UnmeasurableError(
+                f"cut before {places}: several clips in one video; split it there and score each clip by itself"
+            )
         run = CameraChooser(self._parts, clip, priors, gripper, self._table_height_m)
         if camera is None and not trusts_camera:
             result = run.ground_unnamed()

@@ -14,6 +14,8 @@ _KEYS = (*_NUMBERS, "base_from_camera")
 _OPTIONAL_KEYS = ("mirrored", "table_height_m")
 MAX_TABLE_HEIGHT_M = 2.0
 """Greatest distance of the table top from the robot's base, up or down [m]."""
+MAX_DISTANCE_M = 20.0
+"""Greatest distance of a camera of a `camera.json` from the robot's base [m]."""
 BENCHMARK_PX = 384
 """Width and height of the images of the benchmark."""
 CONFIRMED = 0.6
@@ -127,9 +129,16 @@ class Camera:
         except (TypeError, ValueError, OverflowError):
             raise UsageError(f"{source}: base_from_camera must be a 4x4 list of numbers") from None
         try:
-            return cls(**{key: kind(data[key]) for key, kind in _NUMBERS.items()}, X_BC=X_BC)
+            camera = cls(**{key: kind(data[key]) for key, kind in _NUMBERS.items()}, X_BC=X_BC)
         except UsageError as error:
             raise UsageError(f"{source}: {error}") from None
+        distance_m = float(np.linalg.norm(camera.X_BC[:3, 3]))
+        if distance_m > MAX_DISTANCE_M:
+            raise UsageError(
+                f"{source}: base_from_camera is {distance_m:.4g} m from the robot's base, at most {MAX_DISTANCE_M:g} m "
+                "are accepted; if its translation is in millimetres, divide it by 1000"
+            )
+        return camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

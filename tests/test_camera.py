@@ -8,6 +8,7 @@ import pytest
 from kinebench_drake.camera import CameraSetting, benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.camerafile import load_camera, save_camera
+from kinebench_drake.geometry import make_pose
 
 
 def test_the_benchmark_camera_sees_the_table_in_front_of_the_robot() -> None:
@@ -31,6 +32,9 @@ def test_a_camera_keeps_its_aspect_ratio() -> None:
         benchmark_camera().resized(832, 480)
 
 
+_MILLIMETRES = make_pose(benchmark_camera().X_BC[:3, :3], 1e3 * benchmark_camera().X_BC[:3, 3])
+
+
 def _broken(**changes: Any) -> dict[str, Any]:
     return {k: v for k, v in (benchmark_camera().to_json() | changes).items() if v is not None}
 
@@ -50,6 +54,7 @@ def _broken(**changes: Any) -> dict[str, Any]:
         (_broken(base_from_camera="identity"), "4x4"),
         (_broken(base_from_camera=(2 * np.eye(4)).tolist()), "not a rigid pose"),
         (_broken(base_from_camera=np.diag([1.0, 1.0, -1.0, 1.0]).tolist()), "not a rigid pose"),
+        (_broken(base_from_camera=_MILLIMETRES.tolist()), "at most 20 m are accepted.*millimetres, divide it by 1000"),
         ([1, 2, 3], "expected an object"),
         ("{", "JSON"),
     ],

@@ -1,9 +1,11 @@
 """Motion of the camera relative to the first frame, from features of the background."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from kinebench_drake.anomaly import AnomalyKind
@@ -46,6 +48,21 @@ _ROUND_TRIP_PX = 0.5
 _ROTATION_PASSES = 8
 _TUKEY_PX = 1.5
 """Residual beyond which a feature has no weight for the rotation [px]."""
+
+# Set on 103 films of 14 sources, fixed, moving and wrist cameras, in none of which a cut is found, and on joins of two
+# of one size: of 87 it is found in 60, and not where both show one scene or a camera in motion begins or ends.
+_CUT_SIZE_PX = (48, 36)
+"""Width and height of the pictures that are compared [px]."""
+_CUT_GREY = 6.0
+"""Change of a pixel's grey value of 255 from which on it counts."""
+_CUT_SHARE = 0.4
+"""Least share of changed pixels of a cut."""
+_CUT_RATIO = 2.0
+"""Least ratio of this share to the greatest one around it."""
+_CUT_WINDOW = 4
+"""Frames before and after that are around it: frames may be repeated."""
+_CUT_CORRELATION = 0.6
+"""Correlation of the pictures before and after from which on only brightness or contrast has changed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,6 +153,35 @@ class CameraMotion:
             way=CameraWay.ROTATION, R_AC=R_AC, p_AC=np.zeros((n, 3)), zoom=np.ones(n), followed=~still, px=self.px
         )
         return path.stabilize(frames, camera)
+
+
+def find_cuts(frames: Frames) -> list[int]:
+    """Return the frames (T, H, W, 3) before which the whole picture changes at once and for good: another clip begins.
+
+    A change of brightness is none, nor is a single frame that differs from both its neighbours.
+    """
+    grey = (cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in frames)
+    small = [cv2.resize(image, _CUT_SIZE_PX, interpolation=cv2.INTER_AREA).ravel() for image in grey]
+    pictures = np.array(small, dtype=np.float64)
+    share = np.array([_changed_share(*pair) for pair in pairwise(pictures)])
+    padded = np.pad(share, _CUT_WINDOW)
+    around = np.delete(sliding_window_view(padded, 2 * _CUT_WINDOW + 1), _CUT_WINDOW, axis=1).max(axis=1)
+    sudden = np.flatnonzero(share >= np.maximum(_CUT_SHARE, _CUT_RATIO * around)) + 1
+    return [k for k in sudden.tolist() if k + 1 < len(frames) and _is_cut(*pictures[k - 1 : k + 2])]
+
+
+def _is_cut(before: Array, after: Array, later: Array) -> bool:
+    """Return whether a picture is of another scene than the one before, and the next one as well."""
+    if not after.std() or not before.std():  # a black picture shows no scene
+        return False
+    is_other = float(np.corrcoef(before, after)[0, 1]) < _CUT_CORRELATION
+    return is_other and _changed_share(before, later) >= _CUT_SHARE
+
+
+def _changed_share(before: Array, after: Array) -> float:
+    """Return the share of the pixels of a picture whose grey value changes, up to a change of all of them."""
+    change = after - before
+    return float((np.abs(change - np.median(change)) > _CUT_GREY).mean())
 
 
 class FeatureTracks:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinebench_drake.camera import CONFIRMED, Camera
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import UsageError, count_noun
 from kinebench_drake.geometry import invert, pose_difference
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, Prior
@@ -31,7 +31,7 @@ from kinebench_drake.grounding.tracking.view import DenseEstimator
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import RobotPart, hand_from_tcp
 from kinebench_drake.segments import evenly, finite_rows
-from kinebench_drake.track import Domain
+from kinebench_drake.track import Domain, GripperTrack
 
 # Checked on right and wrong cameras, of which no wrong one may be accepted:
 # `python -m benchmarks cameras FOLDER --out OUT --presented plain,named,mirrored,short_focal,long_focal`.
@@ -112,6 +112,12 @@ class CameraChecker:
         if result.domain is Domain.ARM:
             images = images.without(RobotPart.HAND)
         return float(images.agreement(scene).mean())
+
+    def reaches(self, track: GripperTrack) -> bool:
+        """Return whether the arm can hold the hand at its pose in any tracked frame; True without such frames."""
+        model = self._fitter.model
+        X_BH = track.X_BG[track.tracked] @ invert(hand_from_tcp())
+        return not len(X_BH) or any(model.within_limits(model.postures(X)).any() for X in X_BH)
 
     def find_reading(
         self, frames: Frames, camera: Camera, least: float, readings: tuple[PictureReading, ...]
@@ -348,11 +354,12 @@ def check_named(
     If the contours of hand and arm, in the postures of the track, lie on edges of the image, the camera stays, unless
     the mirrored picture agrees clearly better. Otherwise other readings and other cameras are tried. One that explains
     the arm clearly better and puts the gripper elsewhere leaves the base frame unknown, and so does a low agreement.
+    Where no posture could agree, as the arm reaches the hand in no tracked frame, the base frame is unknown as well.
     """
     agreement = checker.track_agreement(frames, camera, result)
     choice = replace(choice, agreement=agreement)
     if result.camera_path is not None:  # other readings and cameras are sought in pictures of one camera alone
-        return choice if agreement is None else replace(choice, reason=_explain_disagreement(agreement, result))
+        return replace(choice, reason=_explain_disagreement(agreement, result, checker))
     reading = find_reading(frames, camera, agreement, checker)
     if reading is not None:
         return replace(choice, better_reading=reading, reason=f"the base frame is unknown: {reading.describe()}")
@@ -363,14 +370,17 @@ def check_named(
     if other is not None and (other.gripper_m > LARGE_M or other.gripper_rad > _LARGE_RAD):
         reason = f"the base frame is unknown: {other.describe()}"
     elif other is None:
-        reason = _explain_disagreement(agreement, result)
+        reason = _explain_disagreement(agreement, result, checker)
     return replace(choice, contradiction=other, reason=reason)
 
 
-def _explain_disagreement(agreement: float | None, result: PipelineResult) -> str | None:
+def _explain_disagreement(agreement: float | None, result: PipelineResult, checker: CameraChecker) -> str | None:
     """Return why a camera that no other explains better gives no base frame; None if it does."""
     if agreement is None:
-        if result.arm_consistency_px is None or not result.has_pose.any():  # nothing could agree or disagree
+        if not checker.reaches(result.track):
+            return _describe_reach(result.track)
+        is_unseen = result.arm_consistency_px is None or not result.has_pose.any()
+        if is_unseen or result.camera_path is not None:  # nothing could agree or disagree
             return None
         return (
             "the base frame is unknown: the arm contradicts the camera of the input: it is seen, but agrees with the "
@@ -381,4 +391,15 @@ def _explain_disagreement(agreement: float | None, result: PipelineResult) -> st
     return (
         f"the base frame is unknown: the arm contradicts the camera of the input: {agreement:.0%} of its contours lie "
         f"on image edges, at least {bounds.AGREEMENT:.0%} are needed"
+    )
+
+
+def _describe_reach(track: GripperTrack) -> str:
+    """Describe a camera that puts the hand out of reach in every tracked frame."""
+    distance_m = float(np.median(np.linalg.norm(track.X_BG[track.tracked, :3, 3], axis=1)))
+    frames = count_noun(int(track.tracked.sum()), "tracked frame")
+    return (
+        "the base frame is unknown: no arm agrees with the camera of the input, which puts the hand "
+        f"{distance_m:.2f} m from the robot's base, where no posture holds it in any of {frames}; "
+        "base_from_camera has to be in metres and in the frame of the robot's base, not of the world"
     )

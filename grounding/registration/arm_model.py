@@ -68,6 +68,11 @@ class ArmModel:
         """Clip postures (..., 7) to the joint limits and their tolerance [rad]."""
         return np.clip(q, self.lower - OVER_LIMIT_RAD, self.upper + OVER_LIMIT_RAD)
 
+    def postures(self, X_BH: Array) -> Array:
+        """Return the postures (M, 7) that hold the hand at a pose X_BH (4, 4), whatever the limits [rad]."""
+        q = analytic_ik(X_BH @ self.X_HF, LAST_ANGLES_RAD).reshape(-1, N_JOINTS)
+        return np.asarray(q[np.isfinite(q).all(axis=1)])
+
     def poses_and_axes(self, q: Array) -> tuple[Array, Array, Array]:
         """Return poses (M, PARTS, 4, 4), joint axes (M, 7, 3) and a point (M, 7, 3) on each in B at postures (M, 7)."""
         M = self._chain.motions(q)
@@ -148,8 +153,7 @@ def find_posture(
     """
     if len(links) < MIN_CELLS:
         return None
-    q = analytic_ik(invert(X_CB) @ X_CH @ model.X_HF, LAST_ANGLES_RAD).reshape(-1, 7)
-    q = q[np.isfinite(q).all(axis=1)]
+    q = model.postures(invert(X_CB) @ X_CH)
     flipped = q.copy()
     flipped[:, 6] = (flipped[:, 6] + 2 * np.pi) % (2 * np.pi) - np.pi
     best: list[tuple[float, Array | None]] = []

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from kinebench_drake.cli.click_options import PathParameter, check_parent, check_suffix, config_options, echo
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import UsageError, name_options
 from kinebench_drake.runs.audit import AuditConfig
 from kinebench_drake.runs.config import RunKind, ScoreConfig
 
@@ -194,7 +194,7 @@ def _score(config: ScoreConfig, *, dry_run: bool) -> int:
     readable = [row for row in rows if row.status is Status.OK]
     echo(f"{len(readable)} of {len(rows)} samples can be read; nothing was measured or written")
     for warning in row_warnings(rows):
-        echo(f"warning: {warning}", err=True)
+        echo(f"warning: {name_options(warning)}", err=True)
     for line in input_lines(readable):
         echo(line)
     return 0 if readable else 1

@@ -1,9 +1,11 @@
 """Video containers through PyAV: decoding of every FFmpeg codec, and mp4 files with reproducible bytes."""
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 from typing import cast
 
@@ -19,13 +21,16 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.frames import MAX_PIXELS, collect_frames, require_size
-from kinebench_drake.io.video import Video, VideoPart
+from kinebench_drake.io.video import MIN_FRAMES, Video, VideoPart
 
 _OPTIONS = {"format_whitelist": "mov,matroska,avi,gif", "protocol_whitelist": "file"}
 """FFmpeg must read no playlist: playlists name other files and addresses."""
 _DECODER = {"max_pixels": str(MAX_PIXELS)}
 _PARAMETERS = "no-mbtree=1"
 """Of x264: its tree of macroblocks reads memory that nobody has written, so that small films differ each time."""
+_GIF_EXTENSION = b"!"
+_GIF_CONTROL = b"!\xf9"
+_GIF_IMAGE = b","
 LEAD_S = 1.0
 """Time by which decoding starts earlier: seeking uses the decoding order, not the display order [s]."""
 _SQUARE = 0.01
@@ -41,10 +46,8 @@ def read_container(path: Path, part: VideoPart) -> Video:
     """
     stamps: list[float | None] = []
     try:
-        with av.open(path, options=_DECODER, container_options=_OPTIONS, metadata_errors="replace") as container:
-            stream = next((s for s in container.streams.video if s.codec_context is not None), None)
-            if stream is None:
-                raise InputError(f"{path.name}: holds no video stream of a known codec")
+        with _open(path) as container:
+            stream = _choose_stream(path, container)
             require_size(path.name, (1, stream.height, stream.width))
             stream.thread_count = 1
             stream.codec_context.options = _DECODER
@@ -63,9 +66,28 @@ def read_container(path: Path, part: VideoPart) -> Video:
         raise InputError(f"{path.name}: has {len(frames)} frames{_span(part)}, its metadata says {kept}")
     if is_gif and not _gif_ends(path):
         raise InputError(f"{path.name}: cut off after {len(frames)} frames (the gif lacks its trailer)")
-    fps = float(rate) if rate else None
+    # FFmpeg replaces delays that are 0, or not stated, by 0.1 s.
+    steps = len(frames) - 1
+    is_timeless = is_gif and sum(delay > 0 for delay in islice(_gif_delays(path), steps)) < steps
+    fps = float(rate) if rate and not is_timeless else None
     stamps_s = _irregular_stamps(stamps[:kept], fps)
     return Video(frames=frames[:kept], fps=fps, stamps_s=stamps_s, surplus=len(frames) - kept)
+
+
+def _open(path: Path) -> InputContainer:
+    return av.open(path, options=_DECODER, container_options=_OPTIONS, metadata_errors="replace")
+
+
+def _choose_stream(path: Path, container: InputContainer) -> VideoStream:
+    """Return the first video stream of a known codec, of several the first one that is no picture, such as a cover."""
+    streams = [stream for stream in container.streams.video if stream.codec_context is not None]
+    if not streams:
+        raise InputError(f"{path.name}: holds no video stream of a known codec")
+    if len(streams) == 1:
+        return streams[0]
+    with _open(path) as other:
+        packets = Counter(packet.stream_index for packet in other.demux(*other.streams.video) if packet.size)
+    return next((stream for stream in streams if packets[stream.index] >= MIN_FRAMES), streams[0])
 
 
 def _decode(
@@ -153,6 +175,29 @@ def _gif_ends(path: Path) -> bool:
     with path.open("rb") as file:
         file.seek(-min(64, path.stat().st_size), os.SEEK_END)
         return file.read().rstrip(b"\0").endswith(b";")
+
+
+def _gif_delays(path: Path) -> Iterator[int]:
+    """Yield the delay after each frame of a gif, 0 if none is stated [1/100 s] (section 23 of the format)."""
+    data = path.read_bytes()
+    at = 13 + _palette_bytes(data[10:11])
+    delay = 0
+    while (kind := data[at : at + 1]) in (_GIF_EXTENSION, _GIF_IMAGE):
+        if data[at : at + 2] == _GIF_CONTROL:
+            delay = int.from_bytes(data[at + 4 : at + 6], "little")
+        if kind == _GIF_IMAGE:
+            yield delay
+            delay = 0
+        at += 2 if kind == _GIF_EXTENSION else 11 + _palette_bytes(data[at + 9 : at + 10])
+        while size := int.from_bytes(data[at : at + 1]):
+            at += size + 1
+        at += 1
+
+
+def _palette_bytes(flags: bytes) -> int:
+    """Return the size of the palette that the flags of a gif, or of one of its images, announce [bytes]."""
+    packed = int.from_bytes(flags)
+    return 3 << (packed % 8 + 1) if packed & 0x80 else 0
 
 
 def _irregular_stamps(stamps: list[float | None], fps: float | None) -> Array | None:

@@ -17,6 +17,11 @@ from kinebench_drake.io.files import IMAGE_SUFFIXES, open_file
 from kinebench_drake.io.frames import MAX_PIXELS, collect_frames
 from kinebench_drake.io.video import Video
 
+_SIDE_NAME = re.compile(r"(?<![a-z])(depth|disparity|mask|segmentation)(?![a-z])", re.IGNORECASE)
+"""Words in the names of pictures beside colour pictures."""
+_BIT_DEPTH = 24
+"""Place of the bit depth in a png file, before the type of its colours (section 11.2.1 of the format) [bytes]."""
+_GREY_16_BIT = bytes([16, 0])
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP")  # whatever the suffix; other formats may start programs or read other files
 _DAMAGED = (
     *(OSError, ValueError, SyntaxError, EOFError, MemoryError, TypeError, IndexError, KeyError, OverflowError),
@@ -33,9 +38,36 @@ def natural_key(name: str) -> list[tuple[int, str]]:
 
 
 def frame_files(folder: Path) -> list[Path]:
-    """Return the frames of a folder in natural order."""
+    """Return the frames of a folder in natural order; of colour pictures with others beside them the former."""
+    return _split_pictures(folder)[0]
+
+
+def side_files(folder: Path) -> list[Path]:
+    """Return the pictures of depth or masks beside the colour pictures of a folder, in natural order."""
+    return _split_pictures(folder)[1]
+
+
+def _split_pictures(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Return the frames of a folder, and the other pictures; where all are of one kind they are the frames."""
     files = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
-    return sorted(files, key=lambda p: (natural_key(p.name), p.name))
+    files = sorted(files, key=lambda p: (natural_key(p.name), p.name))
+    others = [file for file in files if _is_side_picture(file)]
+    if len(others) == len(files):
+        return files, []
+    return [file for file in files if file not in set(others)], others
+
+
+def _is_side_picture(file: Path) -> bool:
+    """Return whether a picture shows depth or a mask: by a word of its name, or as a png of 16-bit grey."""
+    if _SIDE_NAME.search(file.stem):
+        return True
+    if file.suffix.lower() != ".png":
+        return False
+    try:
+        with open_file(file) as stream:
+            return stream.read(_BIT_DEPTH + 2)[_BIT_DEPTH:] == _GREY_16_BIT
+    except OSError:
+        return False
 
 
 @contextmanager

@@ -37,9 +37,14 @@ def assess_trust(row: SampleRow, period: str, *, is_measured: bool) -> TrustEntr
     agreement = row.camera_agreement
     tracked = row.metrics.tracked_fraction
     confidence = row.metrics.confidence_mean
+    # Camera and clock of the benchmark's simulator are its own.
+    is_episode = state == CameraState.NAMED.value and row.camera_source == CameraSource.BENCHMARK.value
+    is_named = state == CameraState.NAMED.value and not is_episode
     camera = f"camera {state}"
     if agreement is not None:
         camera += f", {agreement:.0%} of the arm's contours on image edges"
+    elif is_named:
+        camera += ", agreement of the arm not measured"
     facts = [camera, f"look {row.domain}"]
     if confidence is not None:
         facts.append(f"mean confidence {confidence:.2f}")
@@ -48,13 +53,12 @@ def assess_trust(row: SampleRow, period: str, *, is_measured: bool) -> TrustEntr
         facts.append(f"{round((1.0 - tracked) * row.frames)} of {count_noun(row.frames, 'frame')} not measured")
     doubts = {
         "the camera is estimated from the arm": state == CameraState.ESTIMATED.value,
-        "the arm does not confirm the named camera": state == CameraState.NAMED.value
-        and agreement is not None
-        and agreement < CONFIRMED,
+        "the arm does not confirm the named camera": is_named and (agreement is None or agreement < CONFIRMED),
         "frames could not be measured": tracked is not None and tracked < FEW_TRACKED,
         "the mean confidence is low": confidence is not None and confidence < LOW_CONFIDENCE,
         "the look is unfamiliar": row.domain == Domain.UNFAMILIAR.value,
         "the flange is measured without a hand": row.domain == Domain.ARM.value,
+        "the frame period is assumed": row.frame_period_source == PeriodSource.BENCHMARK.value and not is_episode,
         "the benchmark camera fits, but the frame period is not the benchmark's 0.2 s": row.frame_period_source
         == PeriodSource.FPS.value
         and state == CameraState.CONFIRMED.value

@@ -12,7 +12,7 @@ from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.io import frames as module
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.frames import FrameFile, map_frames
-from kinebench_drake.io.images import read_image
+from kinebench_drake.io.images import read_image, side_files
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
@@ -153,6 +153,46 @@ def test_frame_folders_are_sorted_by_number(tmp_path, frames):
     video = read_video(tmp_path)
     assert (video.frames == frames[:11]).all()
     assert video.fps is None
+
+
+@pytest.mark.parametrize("name", ["frame_{}_depth.png", "d{}.png"])
+def test_depth_pictures_beside_the_frames_are_no_frames(tmp_path, frames, name):
+    for k in range(4):
+        Image.fromarray(frames[k]).save(tmp_path / f"frame_{k}.png")
+        Image.fromarray(np.full((H, W), 700, np.uint16)).save(tmp_path / name.format(k))
+    assert (read_video(tmp_path).frames == frames[:4]).all()
+    assert len(side_files(tmp_path)) == 4
+
+
+def test_a_folder_of_16_bit_pictures_alone_is_a_video(tmp_path):
+    for k in range(3):
+        Image.fromarray(np.full((H, W), 700, np.uint16)).save(tmp_path / f"depth_{k}.png")
+    assert len(read_video(tmp_path).frames) == 3
+    assert not side_files(tmp_path)
+
+
+def test_of_a_file_with_a_cover_picture_the_film_is_read(tmp_path, frames):
+    with av.open(tmp_path / "a.mkv", "w") as container:
+        cover = container.add_stream("mjpeg", rate=17)
+        film = container.add_stream("libx264", rate=17)
+        for stream, pixel_format in ((cover, "yuvj420p"), (film, "yuv420p")):
+            stream.height, stream.width = frames.shape[1:3]
+            stream.pix_fmt = pixel_format
+        container.mux(cover.encode(av.VideoFrame.from_ndarray(frames[0], format="rgb24")))
+        for image in frames:
+            container.mux(film.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(cover.encode())
+        container.mux(film.encode())
+    video = read_video(tmp_path / "a.mkv")
+    assert np.abs(video.frames.astype(int) - frames).mean() < 2.0
+
+
+@pytest.mark.parametrize(("delays_ms", "fps"), [(100, 10.0), (0, None), ([100, 0, 100, 100], None)])
+def test_a_gif_with_delays_of_zero_has_no_clock(tmp_path, frames, delays_ms, fps):
+    first, *others = (Image.fromarray(image) for image in frames[:4])
+    first.save(tmp_path / "a.gif", save_all=True, append_images=others, duration=delays_ms)
+    video = read_video(tmp_path / "a.gif")
+    assert (len(video.frames), video.fps, video.stamps_s) == (4, fps, None)
 
 
 @pytest.mark.parametrize("key", ["frames", "video", "anything"])

@@ -12,6 +12,7 @@ EXTRA = {
 }
 PERIOD = "0.2 s, from the manifest"
 OWN_CLOCK = {"camera_state": "confirmed", "frame_period_source": "fps"}
+EPISODE = {"camera_agreement": None, "camera_source": "benchmark", "frame_period_source": "benchmark"}
 METRICS = {"tracked_fraction": 1.0, "confidence_mean": 0.97}
 
 
@@ -31,6 +32,9 @@ def test_a_sample_without_doubts_is_solid_and_its_line_lists_the_evidence():
         ({}, {}, False, TrustLevel.UNKNOWN, "the track is not trusted"),
         ({"camera_state": "estimated"}, {}, True, TrustLevel.CHECK, "the camera is estimated"),
         ({"camera_agreement": 0.5}, {}, True, TrustLevel.CHECK, "does not confirm the named camera"),
+        ({"camera_agreement": None}, {}, True, TrustLevel.CHECK, "does not confirm the named camera"),
+        (EPISODE, {}, True, TrustLevel.SOLID, "nothing"),
+        ({"frame_period_source": "benchmark"}, {}, True, TrustLevel.CHECK, "the frame period is assumed"),
         ({}, {"tracked_fraction": 0.9}, True, TrustLevel.CHECK, "could not be measured"),
         ({}, {"confidence_mean": 0.6}, True, TrustLevel.CHECK, "confidence is low"),
         ({"domain": "unfamiliar"}, {}, True, TrustLevel.CHECK, "unfamiliar"),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pyarrow import compute
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.formats.camerafile import CAMERA_NAME
+from kinebench_drake.formats.camerafile import CAMERA_NAME, CameraLookup
 from kinebench_drake.formats.lerobot.dataset import EPISODE, FRAME, INFO, TIME, LeRobotDataset
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.trajectories.columns import complete
@@ -86,6 +86,26 @@ def list_lerobot_videos(folder: Path, search: Search) -> list[VideoSample]:
     if not samples:
         raise InputError("the dataset holds no episode")
     return samples
+
+
+def list_lerobot_file(path: Path, search: Search) -> list[VideoSample]:
+    """List the episodes in a video file of a dataset; none where it holds a single one, or is of no dataset.
+
+    Raises:
+        InputError: the dataset cannot be used.
+        UsageError: a camera.json is unusable.
+    """
+    path = path.absolute()
+    folder = next((parent for parent in path.parents if is_lerobot(parent)), None)
+    if folder is None:
+        return []
+    dataset = LeRobotDataset.open(folder)
+    key = next((name for name in dataset.cameras() if name in path.parts), None)
+    if key is None or path.stem.startswith("episode_"):  # v2.x: a file for each episode
+        return []
+    of_dataset = replace(search, top=folder, cameras=CameraLookup(folder), camera_key=key)
+    samples = [sample for sample in list_lerobot_videos(folder, of_dataset) if sample.path == path]
+    return samples if len(samples) > 1 else []
 
 
 def list_lerobot_trajectories(folder: Path, name: str, choice: TrajectoryOptions) -> list[TrajectorySample]:

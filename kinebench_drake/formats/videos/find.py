@@ -1,7 +1,9 @@
 """Search for videos: from a path to its samples, by the format of the file or folder."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
@@ -19,7 +21,17 @@ from kinebench_drake.io.video import VideoPart
 
 
 def list_file(path: Path, search: Search) -> list[VideoSample]:
-    """List a video or npy file, or an array of an npz file: the one that the camera key names, else the default one."""
+    """List a video or npy file, or an array of an npz file: the one that the camera key names, else the default one.
+
+    Of a file of a LeRobot dataset that holds several episodes these are listed.
+    """
+    if path.suffix.lower() in VIDEO_SUFFIXES:
+        with suppress(InputError):  # a file of a dataset that cannot be used still is a video
+            if episodes := lerobot.list_lerobot_file(path, search):
+                search.warnings.append(
+                    f"{path.name} holds {len(episodes)} episodes of a LeRobot dataset: each is a sample"
+                )
+                return episodes
     sample = search.sample(path)
     if path.suffix.lower() != ".npz" or search.camera_key is None:
         return [sample]
@@ -120,7 +132,7 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
             continue
         videos = [f for f in files if Path(f).suffix.lower() in VIDEO_SUFFIXES]
         if videos:
-            samples += [search.sample(here / f) for f in videos]
+            samples += chain.from_iterable(list_file(here / f, search) for f in videos)
         elif _is_frame_folder(files):
             samples.append(search.sample(here))
         is_video = not videos and _is_frame_folder(files)

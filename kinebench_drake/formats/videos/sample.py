@@ -6,11 +6,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from kinebench_drake.camera import Camera, CameraSetting, CameraSource, benchmark_camera
-from kinebench_drake.errors import InputError
+from kinebench_drake.errors import InputError, count_noun
 from kinebench_drake.formats.camerafile import CameraLookup
 from kinebench_drake.formats.samples import Sample
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import IMAGE_SUFFIXES
+from kinebench_drake.io.images import side_files
 from kinebench_drake.io.video import WHOLE, VideoPart
 from kinebench_drake.track import InitialState
 
@@ -104,6 +105,11 @@ class Search:
         """Return a sample of a file or frame folder without metadata, with the camera of its folder."""
         is_folder = path.is_dir()
         id = path.resolve().name if is_folder else path.stem
+        if is_folder and (others := side_files(path)):
+            self.warnings.append(
+                f"{self.name(path)}: {count_noun(len(others), 'picture')} of depth or masks beside the frames ignored, "
+                f"such as {others[0].name}"
+            )
         sample = VideoSample(id=id, path=path, video=self.name(path))
         return sample.filmed_by(self.cameras.find(path if is_folder else path.parent), CameraSource.FOLDER)
 

@@ -34,6 +34,23 @@ def test_every_episode_is_a_video_with_its_prompt_and_frames(lerobot, version, c
         assert levels(video.frames) == pytest.approx(expected, abs=2.4)  # the next frame is 5 away
 
 
+def test_a_video_file_of_several_episodes_is_split_also_by_its_own_name(lerobot):
+    root = lerobot("v3.0", LENGTHS, keys=TWO)
+    file = next(iter(sorted((root / "videos").rglob("*.mp4"))))
+    for source in (file, file.parent):
+        found = find_samples(source)
+        assert [s.part.frames for s in found.samples] == list(LENGTHS)
+        assert {s.camera_key for s in found.samples} == {TWO[0]}
+        assert any("holds 3 episodes" in warning for warning in found.warnings)
+
+
+def test_a_video_file_of_one_episode_is_a_plain_video(lerobot):
+    root = lerobot("v2.1", LENGTHS)
+    file = next(iter(sorted((root / "videos").rglob("*.mp4"))))
+    (sample,) = find_samples(file).samples
+    assert (sample.id, sample.camera_key) == (file.stem, None)
+
+
 def test_several_cameras_require_an_unambiguous_camera_key(lerobot):
     root = lerobot("v3.0", keys=TWO)
     with pytest.raises(UsageError, match=r"2 cameras \(.*front, observation.images.wrist\).*camera_key"):

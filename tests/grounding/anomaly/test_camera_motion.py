@@ -5,7 +5,12 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import rotation_angle, rotation_exp
-from kinebench_drake.grounding.anomaly.camera_motion import FeatureTracks, find_camera_motion, measure_camera_motion
+from kinebench_drake.grounding.anomaly.camera_motion import (
+    FeatureTracks,
+    find_camera_motion,
+    find_cuts,
+    measure_camera_motion,
+)
 
 CAMERA = benchmark_camera().resized(192, 192)
 ROBOT = np.zeros((192, 192), dtype=bool)
@@ -82,3 +87,29 @@ def test_feature_tracks_do_not_depend_on_robot_masks_of_earlier_calls():
 
 def test_a_video_of_one_frame_has_no_camera_motion():
     assert measure_camera_motion(FeatureTracks(recorded(np.zeros((1, 3)))), ROBOT, CAMERA).largest_px == 0.0
+
+
+def of_other_scene(frames):
+    """The frames before another background: turned upside down and inverted."""
+    return 255 - frames[:, ::-1]
+
+
+def test_cuts_between_clips_of_different_scenes_are_found_where_they_are():
+    clip = recorded(np.zeros((7, 3)), robot_px=3)
+    other = of_other_scene(clip)
+    assert find_cuts(clip) == []
+    assert find_cuts(np.concatenate([clip, other])) == [7]
+    assert find_cuts(np.concatenate([clip, other, clip])) == [7, 14]
+    repeated = np.repeat(np.concatenate([clip, other]), 3, axis=0)
+    assert find_cuts(repeated) == [21]
+
+
+def test_a_robot_that_jumps_a_flash_a_glitch_and_a_fast_camera_are_no_cuts():
+    clip = recorded(np.zeros((7, 3)))
+    jumping = np.concatenate([clip, recorded(np.zeros((7, 3)), robot_px=9)[5:]])
+    dark = np.concatenate([clip, clip // 2])
+    black = np.concatenate([clip, np.zeros_like(clip)])
+    glitch = np.concatenate([clip, of_other_scene(clip[:1]), clip])
+    turning = recorded(np.arange(7)[:, None] * [0.0, 0.06, 0.0])
+    for frames in (jumping, dark, black, glitch, turning):
+        assert find_cuts(frames) == []

@@ -88,6 +88,7 @@ class Evidence:
         self.domain = Domain.FAMILIAR
         self.fitted = True
         self.arm_seen = True
+        self.in_reach = True
         self.arm_tracks = False
         self.hand_tracks = True
         self.checker = self.cameras = self
@@ -103,6 +104,9 @@ class Evidence:
         if not np.isfinite(result.arm_q).any() or not result.has_pose.any():
             return None
         return self.agreements.pop(0) if len(self.agreements) > 1 else self.agreements[0]
+
+    def reaches(self, track):
+        return self.in_reach
 
     def recognize(self, frames):
         self.asked.append("recognize")
@@ -399,3 +403,21 @@ def test_the_arm_alone_is_not_tried_if_another_camera_reading_explains_the_hand(
     with pytest.raises(UnmeasurableError, match="OpenGL axes"):
         ground(evidence, source=CameraSource.FOLDER)
     assert evidence.asked == ["ground", "readings"]
+
+
+@pytest.mark.parametrize("arm_seen", [True, False])
+def test_a_named_camera_with_which_no_arm_reaches_the_hand_gives_no_base_frame(arm_seen):
+    evidence = Evidence()
+    evidence.fitted = False
+    evidence.arm_seen = arm_seen
+    evidence.in_reach = False
+    choice = ground(evidence, source=CameraSource.FOLDER).choice
+    assert "no posture holds it in any of 12 tracked frames" in choice.reason
+    assert choice.state is CameraState.NONE
+
+
+def test_a_video_with_a_cut_is_unmeasurable_and_the_message_names_the_frame():
+    scene = np.kron(np.random.default_rng(0).integers(0, 255, (1, 8, 8, 3)), np.ones((1, 12, 12, 1))).astype(np.uint8)
+    frames = np.repeat(np.concatenate([scene, 255 - scene]), 6, axis=0)
+    with pytest.raises(UnmeasurableError, match=r"cut before frame 6: several clips in one video"):
+        Grounder(Evidence()).ground(Clip(frames=frames, t_s=np.arange(T) / 10))

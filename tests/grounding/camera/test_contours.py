@@ -16,6 +16,7 @@ from kinebench_drake.grounding.camera.estimate import JOINT_SIGMA_RAD, CameraEst
 from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
 from kinebench_drake.models.panda.description import RobotPart, hand_from_tcp
+from kinebench_drake.track import GripperTrack
 from tests.grounding.camera.robot import postures, project_robot
 
 CAMERA = benchmark_camera().resized(320, 320)
@@ -170,3 +171,30 @@ def test_a_camera_with_a_wrong_focal_length_is_contradicted(estimator, model, fi
         assert found.better > found.agreement + CLEARLY
 
         assert found.gripper_m == pytest.approx(abs(zoom - 1.0) * distance_m, rel=0.15)
+
+
+def track_of(X_BG, tracked):
+    """A track of these poses, all frames of which are tracked or none."""
+    n = len(X_BG)
+    return GripperTrack(
+        t_s=np.arange(n) / 5,
+        X_CH=X_BG,
+        X_BG=X_BG,
+        tracked=np.full(n, tracked),
+        confidence=np.ones(n),
+        finger_width_m=np.full(n, np.nan),
+    )
+
+
+def test_a_camera_puts_the_hand_in_reach_if_any_tracked_frame_does(estimator, model):
+    checker = CameraChecker(None, estimator.fitter)
+    X_BG = model.poses(postures(4))[:, RobotPart.HAND] @ hand_from_tcp()
+    shifted = X_BG.copy()
+    shifted[:, 0, 3] -= 1.5
+    for poses, tracked, reached in (
+        (X_BG, True, True),
+        (shifted, True, False),
+        (np.concatenate([shifted, X_BG]), True, True),
+        (shifted, False, True),
+    ):
+        assert checker.reaches(track_of(poses, tracked)) is reached
