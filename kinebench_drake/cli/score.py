@@ -5,7 +5,14 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.click_options import PathParameter, check_parent, check_suffix, config_options, echo
+from kinebench_drake.cli.click_options import (
+    GroupedCommand,
+    PathParameter,
+    check_parent,
+    check_suffix,
+    config_options,
+    echo,
+)
 from kinebench_drake.errors import UsageError
 from kinebench_drake.runs.audit import AuditConfig
 from kinebench_drake.runs.config import RunKind, ScoreConfig
@@ -30,12 +37,27 @@ _OF_VERDICT = (
     *("fail_on", "fail_under", "sarif", "write_kept"),
 )
 """Options of `score` without a meaning where no motion is judged."""
+_GROUPS = {
+    "Start": ("dry_run", "out"),
+    "Input": (
+        *("frame_period_s", "task_duration_s", "rate_hz", "reading", "camera_key"),
+        *("task", "model", "model_from", "tags", "pixels_only", "masks", "depth", "depth_exact", "poses"),
+    ),
+    "Camera": ("camera", "mirrored", "table_height_m"),
+    "Robot": ("robot", "gripper", "tool", "limits", "payload_kg", "obstacles", "package_path"),
+    "Output": ("overlay", "replays", "format", "write_kept", "sarif"),
+    "Running": ("jobs", "overwrite", "limit", "shard", "engine", "address", "seed"),
+    "Gate": ("fail_on", "fail_under"),
+}
+"""Options of `score`, `ground` and `audit` by their purpose, in the order of the help."""
 _dry_run_option = click.option(
     "--dry-run", is_flag=True, help="List samples, frame periods and cameras; measure and write nothing."
 )
 
 
 @click.command(
+    cls=GroupedCommand,
+    groups=_GROUPS,
     epilog=(
         "\b\nExamples:\n"
         "  kinebench-drake score videos/ --out results/\n"
@@ -66,6 +88,8 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
 
 
 @click.command(
+    cls=GroupedCommand,
+    groups=_GROUPS,
     epilog=(
         "\b\nExamples:\n"
         "  kinebench-drake ground videos/ --out tracks/ --overlay\n"
@@ -91,6 +115,8 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
 
 
 @click.command(
+    cls=GroupedCommand,
+    groups=_GROUPS,
     epilog=(
         "\b\nExamples:\n"
         "  kinebench-drake audit track.npz --out results/\n"
