@@ -67,7 +67,7 @@ _dry_run_option = click.option(
         "  kinebench-drake score models/ --out results/ --model-from folder   # models/wan/a.mp4, ...\n"
         "  kinebench-drake score lerobot-dataset/ --out results/ --camera-key observation.images.front\n"
         "  kinebench-drake score heldout/manifest.jsonl --out results/ --masks heldout --depth heldout"
-    )
+    ),
 )
 @_source_argument
 @config_options(ScoreConfig, omit=("source", "format"))
@@ -96,7 +96,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "  kinebench-drake ground videos/ --out tracks/ --masks yolo/ --depth moge:model.pt\n"
         "  kinebench-drake ground videos/ --out tracks/ --poses foundationpose/\n"
         "  kinebench-drake ground videos/ --out tracks/ --format lerobot-v3 --frame-period 0.2"
-    )
+    ),
 )
 @_source_argument
 @config_options(ScoreConfig, omit=("source", *_OF_VERDICT))
@@ -126,7 +126,7 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "  kinebench-drake audit track.csv --out results/ --robot fr3 --payload 0.5\n"
         "  kinebench-drake audit track.csv --out results/ --robot arm.urdf --tool tool0 --limits limits.json\n"
         "  kinebench-drake audit dataset/ --out results/ --fail-on infeasible --fail-under feasible=0.95"
-    )
+    ),
 )
 @_source_argument
 @config_options(AuditConfig, omit=("source",))
