@@ -29,6 +29,7 @@ from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
 from kinebench_drake.grounding.tracking.localization import PART_CELLS
 from kinebench_drake.grounding.tracking.view import DenseEstimator
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.io.progress import tell
 from kinebench_drake.models.panda.description import RobotPart, hand_from_tcp
 from kinebench_drake.segments import evenly, finite_rows
 from kinebench_drake.track import Domain
@@ -336,6 +337,7 @@ def find_reading(
     """
     if (agreement or 0.0) >= SURE_AGREEMENT:
         return None
+    tell("the arm agrees little with the camera: trying other readings of the picture")
     readings = _LIKELY if (agreement or 0.0) >= CONFIRMED else tuple(PictureReading)
     return checker.find_reading(frames, camera, max(CONFIRMED, agreement or 0.0), readings)
 
@@ -358,6 +360,7 @@ def check_named(
         return replace(choice, better_reading=reading, reason=f"the base frame is unknown: {reading.describe()}")
     if agreement is not None and agreement >= CONFIRMED:
         return choice
+    tell("the arm does not confirm the camera: searching for another focal length")
     other = None if result.domain is Domain.ARM else checker.find_contradiction(frames, camera)
     reason = None
     if other is not None and (other.gripper_m > LARGE_M or other.gripper_rad > _LARGE_RAD):

@@ -128,7 +128,7 @@ def test_a_plugin_class_is_created_with_its_options_or_refused() -> None:
         "my_models:Model?depth=9": "does not take these options",
         "my_models:Model?level=0": r"its __init__ raised TypeError: .*\(test_factory.py, line \d+\)",
         "my_models:Nameless": "expected a class whose instances have a name",
-        "my_models:Path": r"expected a class with a method generate\(request, out\).*; world models are named folder:DIR",
+        "my_models:Path": r"a class with a method generate\(request, out\).*; world models are named folder:DIR",
         "my_models:None_": "the module my_models has no None_.*; world models are named folder:DIR",
         "floder:x": r"there is no module 'floder'.*\(did you mean folder\?\); world models are named folder:DIR",
     }.items():
