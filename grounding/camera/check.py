@@ -357,14 +357,14 @@ def check_named(
         return choice if agreement is None else replace(choice, reason=_explain_disagreement(agreement, result))
     reading = find_reading(frames, camera, agreement, checker)
     if reading is not None:
-        return replace(choice, better_reading=reading, reason=f"the base frame is unknown: {reading.describe()}")
+        return replace(choice, better_reading=reading, reason=f"the base frame is unknown (where the robot stands in the picture): {reading.describe()}")
     if agreement is not None and agreement >= CONFIRMED:
         return choice
     tell("the arm does not confirm the camera: searching for another focal length")
     other = None if result.domain is Domain.ARM else checker.find_contradiction(frames, camera)
     reason = None
     if other is not None and (other.gripper_m > LARGE_M or other.gripper_rad > _LARGE_RAD):
-        reason = f"the base frame is unknown: {other.describe()}"
+        reason = f"the base frame is unknown (where the robot stands in the picture): {other.describe()}"
     elif other is None:
         reason = _explain_disagreement(agreement, result)
     return replace(choice, contradiction=other, reason=reason)
@@ -376,12 +376,12 @@ def _explain_disagreement(agreement: float | None, result: PipelineResult) -> st
         if result.arm_consistency_px is None or not result.has_pose.any():  # nothing could agree or disagree
             return None
         return (
-            "the base frame is unknown: the arm contradicts the camera of the input: it is seen, but agrees with the "
+            "the base frame is unknown (where the robot stands in the picture): the arm contradicts the camera of the input: it is seen, but agrees with the "
             "hand in no tracked frame"
         )
     if agreement >= bounds.AGREEMENT:
         return None
     return (
-        f"the base frame is unknown: the arm contradicts the camera of the input: {agreement:.0%} of its contours lie "
+        f"the base frame is unknown (where the robot stands in the picture): the arm contradicts the camera of the input: {agreement:.0%} of its contours lie "
         f"on image edges, at least {bounds.AGREEMENT:.0%} are needed"
     )

@@ -162,7 +162,7 @@ class CameraChooser:
         reason = None
         if agreement is None or agreement < bounds.AGREEMENT:
             reason = (
-                f"the base frame is unknown: the track does not confirm the camera {named.name} ({_share(agreement)})"
+                f"the base frame is unknown (where the robot stands in the picture): the track does not confirm the camera {named.name} ({_share(agreement)})"
             )
         return view.result(measured, replace(view.choice, agreement=agreement, reason=reason))
 
@@ -204,7 +204,7 @@ class CameraChooser:
                 tracks = tuple(track for track in rivals if track is not None)
                 possible = (measured.track, *tracks) if len(tracks) == len(rivals) else ()
         source = CameraSource.ESTIMATED if doubt is None else CameraSource.NONE
-        reason = None if doubt is None else f"the base frame is unknown: no camera is named, {against}, and {doubt}"
+        reason = None if doubt is None else f"the base frame is unknown (where the robot stands in the picture): no camera is named, {against}, and {doubt}"
         choice = replace(choice, source=source, agreement=agreement, better_reading=reading, reason=reason)
         return view.result(measured, choice, possible)
 
@@ -325,7 +325,7 @@ def _with_offset(measured: PipelineResult, estimate: CameraEstimate) -> Pipeline
 def _misread(choice: CameraChoice, reading: BetterReading) -> CameraChoice:
     """Return the choice of the benchmark camera for a picture that has to be read in another way."""
     described = reading.describe()
-    reason = f"the base frame is unknown: no camera is named, and with the benchmark camera {described}"
+    reason = f"the base frame is unknown (where the robot stands in the picture): no camera is named, and with the benchmark camera {described}"
     return replace(choice, better_reading=reading, reason=reason)
 
 
