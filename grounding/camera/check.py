@@ -21,7 +21,13 @@ from kinebench_drake.grounding.camera.candidate import (
     CandidateFitter,
 )
 from kinebench_drake.grounding.camera.detections import MIN_FRAMES, ArmDetections, find_robot
-from kinebench_drake.grounding.camera.evidence import BetterReading, CameraChoice, CameraContradiction, PictureReading
+from kinebench_drake.grounding.camera.evidence import (
+    BASE_UNKNOWN,
+    BetterReading,
+    CameraChoice,
+    CameraContradiction,
+    PictureReading,
+)
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
 from kinebench_drake.grounding.pipeline import PipelineResult
@@ -357,14 +363,14 @@ def check_named(
         return choice if agreement is None else replace(choice, reason=_explain_disagreement(agreement, result))
     reading = find_reading(frames, camera, agreement, checker)
     if reading is not None:
-        return replace(choice, better_reading=reading, reason=f"the base frame is unknown (where the robot stands in the picture): {reading.describe()}")
+        return replace(choice, better_reading=reading, reason=f"{BASE_UNKNOWN}: {reading.describe()}")
     if agreement is not None and agreement >= CONFIRMED:
         return choice
     tell("the arm does not confirm the camera: searching for another focal length")
     other = None if result.domain is Domain.ARM else checker.find_contradiction(frames, camera)
     reason = None
     if other is not None and (other.gripper_m > LARGE_M or other.gripper_rad > _LARGE_RAD):
-        reason = f"the base frame is unknown (where the robot stands in the picture): {other.describe()}"
+        reason = f"{BASE_UNKNOWN}: {other.describe()}"
     elif other is None:
         reason = _explain_disagreement(agreement, result)
     return replace(choice, contradiction=other, reason=reason)
@@ -376,12 +382,12 @@ def _explain_disagreement(agreement: float | None, result: PipelineResult) -> st
         if result.arm_consistency_px is None or not result.has_pose.any():  # nothing could agree or disagree
             return None
         return (
-            "the base frame is unknown (where the robot stands in the picture): the arm contradicts the camera of the input: it is seen, but agrees with the "
+            f"{BASE_UNKNOWN}: the arm contradicts the camera of the input: it is seen, but agrees with the "
             "hand in no tracked frame"
         )
     if agreement >= bounds.AGREEMENT:
         return None
     return (
-        f"the base frame is unknown (where the robot stands in the picture): the arm contradicts the camera of the input: {agreement:.0%} of its contours lie "
+        f"{BASE_UNKNOWN}: the arm contradicts the camera of the input: {agreement:.0%} of its contours lie "
         f"on image edges, at least {bounds.AGREEMENT:.0%} are needed"
     )

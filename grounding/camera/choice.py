@@ -11,7 +11,7 @@ from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.check import check_named, find_reading
 from kinebench_drake.grounding.camera.estimate import usual_camera
-from kinebench_drake.grounding.camera.evidence import BetterReading, CameraChoice, PictureReading
+from kinebench_drake.grounding.camera.evidence import BASE_UNKNOWN, BetterReading, CameraChoice, PictureReading
 from kinebench_drake.grounding.camera.framing import FIRST_FRAME_ADVICE, Framing, apply_framing, find_framing
 from kinebench_drake.grounding.camera.recognition import Recognition
 from kinebench_drake.grounding.components import GroundingComponents
@@ -161,9 +161,7 @@ class CameraChooser:
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
         reason = None
         if agreement is None or agreement < bounds.AGREEMENT:
-            reason = (
-                f"the base frame is unknown (where the robot stands in the picture): the track does not confirm the camera {named.name} ({_share(agreement)})"
-            )
+            reason = f"{BASE_UNKNOWN}: the track does not confirm the camera {named.name} ({_share(agreement)})"
         return view.result(measured, replace(view.choice, agreement=agreement, reason=reason))
 
     def _ground_estimated(self, usual: Camera, against: str) -> GroundingResult:
@@ -204,7 +202,7 @@ class CameraChooser:
                 tracks = tuple(track for track in rivals if track is not None)
                 possible = (measured.track, *tracks) if len(tracks) == len(rivals) else ()
         source = CameraSource.ESTIMATED if doubt is None else CameraSource.NONE
-        reason = None if doubt is None else f"the base frame is unknown (where the robot stands in the picture): no camera is named, {against}, and {doubt}"
+        reason = None if doubt is None else f"{BASE_UNKNOWN}: no camera is named, {against}, and {doubt}"
         choice = replace(choice, source=source, agreement=agreement, better_reading=reading, reason=reason)
         return view.result(measured, choice, possible)
 
@@ -325,7 +323,7 @@ def _with_offset(measured: PipelineResult, estimate: CameraEstimate) -> Pipeline
 def _misread(choice: CameraChoice, reading: BetterReading) -> CameraChoice:
     """Return the choice of the benchmark camera for a picture that has to be read in another way."""
     described = reading.describe()
-    reason = f"the base frame is unknown (where the robot stands in the picture): no camera is named, and with the benchmark camera {described}"
+    reason = f"{BASE_UNKNOWN}: no camera is named, and with the benchmark camera {described}"
     return replace(choice, better_reading=reading, reason=reason)
 
 
