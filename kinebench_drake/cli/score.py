@@ -137,8 +137,8 @@ def audit(ctx: click.Context, /, **options: Any) -> None:
     PATH is an npz, csv, h5 (ManiSkill, robomimic, LIBERO), npy, txt, json or parquet file, a LeRobot dataset (v2, v3),
     an output folder of score or ground or its tracks/, or a folder of these. Joint angles are judged as recorded; poses
     are infeasible only if no joint path follows them. Columns, units and rotations follow from their names
-    (docs/formats.md); where others fit the robot far better, the row says so and there is no verdict. --reading says
-    how to read; `kinebench-drake reading PATH` prints such a file.
+    (docs/formats.md); where others fit the robot far better, the row says so and is undecided. --reading says how to
+    read; `kinebench-drake reading PATH` prints such a file.
     """
     from kinebench_drake.cli.progress import run
     from kinebench_drake.runs.audit import audit_trajectories

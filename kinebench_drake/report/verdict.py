@@ -103,7 +103,7 @@ def _describe_reason(row: SampleRow, reason: str) -> str:
         worst = describe_violation(row.violations[0])
         return f"{worst} and {count_noun(others, 'violation')} more" if others else worst
     if kind == UNDECIDED:
-        return row.null_reasons.get("feasible", "the motion has no verdict")
+        return row.null_reasons.get("feasible", "no reason stored")
     if kind == LOST:
         return f"no pose in {detail}"
     if kind == UNCHECKED:
