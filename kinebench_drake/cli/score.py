@@ -81,6 +81,9 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     WorldArena, EWMBench or Dream.exe, a manifest.jsonl, or hf://datasets/ORG/NAME@REVISION of the Hugging Face Hub. A
     camera.json beside the videos gives their camera (docs/formats.md).
 
+    Clips that a model resized, cropped or stretched: save the model's first frame as ID.png beside ID.mp4. The change
+    is undone then; without it such a clip takes minutes, and may stay undecided (docs/footage.md).
+
     --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
     ID.npy or a folder ID/ for every video (docs/overrides.md), or is a demonstration folder with its truth.
     """

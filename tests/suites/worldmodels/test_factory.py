@@ -172,7 +172,7 @@ def test_an_answer_that_is_no_video_says_what_generate_must_return(
         assert str(Path(__file__).parent) not in text
 
 
-def test_frames_of_another_shape_are_refused_with_what_is_expected(tmp_path: Path) -> None:
+def test_frames_of_another_shape_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a frame has shape \(3, 64, 96\) and type float64, expected \(H, W, 3\)"):
         write_video(tmp_path / "x.mp4", np.zeros((2, 3, 64, 96)), 17)
     assert not list(tmp_path.iterdir())
