@@ -1,10 +1,13 @@
 """Grounding of a video, the one way in: choose its camera, track gripper or flange, confirm the camera by the arm."""
 
+from dataclasses import replace
+
 from kinebench_drake.camera import Camera, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.grounding.anomaly.camera_motion import find_cuts
 from kinebench_drake.grounding.camera.choice import CameraChooser, PriorSource
 from kinebench_drake.grounding.camera.evidence import CameraChoice
+from kinebench_drake.grounding.camera.framing import FIRST_FRAME_ADVICE
 from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.grounding.priors import NO_PRIORS, Clip, Priors
 from kinebench_drake.grounding.video_result import GroundingResult
@@ -73,4 +76,7 @@ class Grounder:
             result = run.ground_trusted(choice) if trusts_camera else run.ground_named(choice)
         if not trusts_camera:
             result.require_pose()
+        reason = result.choice.reason
+        if reason is not None and clip.conditioning is None:
+            result = replace(result, choice=replace(result.choice, reason=f"{reason}; {FIRST_FRAME_ADVICE}"))
         return result

@@ -12,11 +12,11 @@ from kinebench_drake.errors import UsageError
 
 BENCHMARK = "kinebench_drake.suites.entry"
 """Module of the benchmark (`runs.benchmark_registry`); nothing outside `suites` imports it."""
-_CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+_CLASS = re.compile(r"([A-Za-z_][\w.]*|.+\.py):[A-Za-z_]\w*")
 
 
 def is_class_name(text: str) -> bool:
-    """Return whether `text` has the form `module:Class`."""
+    """Return whether `text` has the form `module:Class` or `FILE.py:Class`."""
     return _CLASS.fullmatch(text) is not None
 
 

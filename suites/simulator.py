@@ -103,9 +103,9 @@ class TaskOutcome:
 
     @property
     def reason(self) -> str:
-        """Failed conditions, such as "not on_top, released"; empty on success."""
-        failed = ", ".join(name for name, holds in self.conditions.items() if not holds)
-        return "" if self.success else f"not {failed}"
+        """Failed conditions, such as "not on top, not released"; empty on success."""
+        failed = [f"not {name.replace('_', ' ')}" for name, holds in self.conditions.items() if not holds]
+        return "" if self.success else ", ".join(failed)
 
 
 class Simulator:

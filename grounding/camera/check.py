@@ -21,7 +21,13 @@ from kinebench_drake.grounding.camera.candidate import (
     CandidateFitter,
 )
 from kinebench_drake.grounding.camera.detections import MIN_FRAMES, ArmDetections, find_robot
-from kinebench_drake.grounding.camera.evidence import BetterReading, CameraChoice, CameraContradiction, PictureReading
+from kinebench_drake.grounding.camera.evidence import (
+    BASE_UNKNOWN,
+    BetterReading,
+    CameraChoice,
+    CameraContradiction,
+    PictureReading,
+)
 from kinebench_drake.grounding.camera.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.grounding.camera.lens import Lens, with_focal
 from kinebench_drake.grounding.pipeline import PipelineResult
@@ -29,6 +35,7 @@ from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M
 from kinebench_drake.grounding.tracking.localization import PART_CELLS
 from kinebench_drake.grounding.tracking.view import DenseEstimator
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.io.progress import tell
 from kinebench_drake.models.panda.description import RobotPart, hand_from_tcp
 from kinebench_drake.segments import evenly, finite_rows
 from kinebench_drake.track import Domain, GripperTrack
@@ -342,6 +349,7 @@ def find_reading(
     """
     if (agreement or 0.0) >= SURE_AGREEMENT:
         return None
+    tell("the arm agrees little with the camera: trying other readings of the picture")
     readings = _LIKELY if (agreement or 0.0) >= CONFIRMED else tuple(PictureReading)
     return checker.find_reading(frames, camera, max(CONFIRMED, agreement or 0.0), readings)
 
@@ -362,13 +370,14 @@ def check_named(
         return replace(choice, reason=_explain_disagreement(agreement, result, checker))
     reading = find_reading(frames, camera, agreement, checker)
     if reading is not None:
-        return replace(choice, better_reading=reading, reason=f"the base frame is unknown: {reading.describe()}")
+        return replace(choice, better_reading=reading, reason=f"{BASE_UNKNOWN}: {reading.describe()}")
     if agreement is not None and agreement >= CONFIRMED:
         return choice
+    tell("the arm does not confirm the camera: searching for another focal length")
     other = None if result.domain is Domain.ARM else checker.find_contradiction(frames, camera)
     reason = None
     if other is not None and (other.gripper_m > LARGE_M or other.gripper_rad > _LARGE_RAD):
-        reason = f"the base frame is unknown: {other.describe()}"
+        reason = f"{BASE_UNKNOWN}: {other.describe()}"
     elif other is None:
         reason = _explain_disagreement(agreement, result, checker)
     return replace(choice, contradiction=other, reason=reason)
@@ -383,13 +392,13 @@ def _explain_disagreement(agreement: float | None, result: PipelineResult, check
         if is_unseen or result.camera_path is not None:  # nothing could agree or disagree
             return None
         return (
-            "the base frame is unknown: the arm contradicts the camera of the input: it is seen, but agrees with the "
+            f"{BASE_UNKNOWN}: the arm contradicts the camera of the input: it is seen, but agrees with the "
             "hand in no tracked frame"
         )
     if agreement >= bounds.AGREEMENT:
         return None
     return (
-        f"the base frame is unknown: the arm contradicts the camera of the input: {agreement:.0%} of its contours lie "
+        f"{BASE_UNKNOWN}: the arm contradicts the camera of the input: {agreement:.0%} of its contours lie "
         f"on image edges, at least {bounds.AGREEMENT:.0%} are needed"
     )
 

@@ -11,14 +11,15 @@ from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.check import check_named, find_reading
 from kinebench_drake.grounding.camera.estimate import usual_camera
-from kinebench_drake.grounding.camera.evidence import BetterReading, CameraChoice, PictureReading
-from kinebench_drake.grounding.camera.framing import Framing, apply_framing, find_framing
+from kinebench_drake.grounding.camera.evidence import BASE_UNKNOWN, BetterReading, CameraChoice, PictureReading
+from kinebench_drake.grounding.camera.framing import FIRST_FRAME_ADVICE, Framing, apply_framing, find_framing
 from kinebench_drake.grounding.camera.recognition import Recognition
 from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, Priors
 from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.io.progress import count_steps, tell
 from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.named_cameras import BENCHMARK
 from kinebench_drake.track import Domain, GripperTrack
@@ -118,6 +119,7 @@ class CameraChooser:
             assumed = self._ground_as_assumed(view)
             if assumed.choice.reason is None or assumed.choice.better_reading is not None:
                 return assumed
+        tell("the benchmark camera is not confirmed: comparing with the cameras known by name")
         recognition = self.parts.recognize(self.clip.frames if view is None else view.frames)
         if recognition is not None and recognition.is_usual:
             return self._ground_recognized(recognition)
@@ -130,13 +132,14 @@ class CameraChooser:
             if reading is not None:
                 return view.result(assumed.measured, _misread(assumed.choice, reading))
         usual = usual_camera(self.clip.frames.shape[2], self.clip.frames.shape[1])
+        tell("no camera is known: looking for a hand whatever the camera")
         hands, searched = self.parts.checker.count_hands(self.clip.frames, usual)
         if not hands and view is not None and (arm := self._confirmed_arm(view)) is not None:
             return arm
         if not hands:
             raise UnmeasurableError(
                 f"no Franka hand is found in any of {searched} frames searched, whatever the camera; is the robot in "
-                "view? With another gripper name the camera (camera.json)"
+                f"view? With another gripper name the camera (camera.json){self._advice}"
             )
         against = None if assumed is None else assumed.choice.reason
         return self._ground_estimated(usual, against or "the arm confirms none that is known by name")
@@ -158,9 +161,7 @@ class CameraChooser:
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
         reason = None
         if agreement is None or agreement < bounds.AGREEMENT:
-            reason = (
-                f"the base frame is unknown: the track does not confirm the camera {named.name} ({_share(agreement)})"
-            )
+            reason = f"{BASE_UNKNOWN}: the track does not confirm the camera {named.name} ({_share(agreement)})"
         return view.result(measured, replace(view.choice, agreement=agreement, reason=reason))
 
     def _ground_estimated(self, usual: Camera, against: str) -> GroundingResult:
@@ -169,6 +170,7 @@ class CameraChooser:
         Without an estimate the camera is the `usual` one; `against` says what speaks against those known by name.
         """
         estimate: CameraEstimate | None = None
+        tell(f"estimating the camera from the arm, which takes minutes{self._advice}")
         try:
             estimate = self.parts.cameras.estimate(self.clip.frames, usual)
             doubt = estimate.misfit
@@ -177,6 +179,7 @@ class CameraChooser:
         source = CameraSource.NONE if estimate is None else CameraSource.ESTIMATED
         choice = CameraChoice(camera=usual if estimate is None else estimate.camera, source=source, estimate=estimate)
         view = self._view(choice)
+        tell("tracking with the estimated camera")
         measured = self._ground_hand(view)
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
         reading = None
@@ -191,12 +194,15 @@ class CameraChooser:
             measured = _with_offset(measured, estimate)
             doubt = estimate.ambiguity
             if doubt is not None and len(estimate.rivals) <= _MOST_RIVALS:
-                rivals = [self._ground_rival(choice, rival, estimate) for rival in estimate.rivals]
+                rivals = [
+                    self._ground_rival(choice, rival, estimate)
+                    for rival in count_steps(estimate.rivals, "other possible cameras tried", len(estimate.rivals))
+                ]
                 # One that is not confirmed may still be the right one, not fitted well: then nothing is agreed on.
                 tracks = tuple(track for track in rivals if track is not None)
                 possible = (measured.track, *tracks) if len(tracks) == len(rivals) else ()
         source = CameraSource.ESTIMATED if doubt is None else CameraSource.NONE
-        reason = None if doubt is None else f"the base frame is unknown: no camera is named, {against}, and {doubt}"
+        reason = None if doubt is None else f"{BASE_UNKNOWN}: no camera is named, {against}, and {doubt}"
         choice = replace(choice, source=source, agreement=agreement, better_reading=reading, reason=reason)
         return view.result(measured, choice, possible)
 
@@ -230,6 +236,11 @@ class CameraChooser:
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, arm)
         is_confirmed = agreement is not None and agreement >= CONFIRMED
         return view.result(arm, replace(view.choice, agreement=agreement)) if is_confirmed else None
+
+    @property
+    def _advice(self) -> str:
+        """What to do if no camera is found, as the end of a sentence; empty for a clip with its conditioning image."""
+        return "" if self.clip.conditioning is not None else f"; {FIRST_FRAME_ADVICE}"
 
     @property
     def _seeks_other(self) -> bool:
@@ -312,7 +323,7 @@ def _with_offset(measured: PipelineResult, estimate: CameraEstimate) -> Pipeline
 def _misread(choice: CameraChoice, reading: BetterReading) -> CameraChoice:
     """Return the choice of the benchmark camera for a picture that has to be read in another way."""
     described = reading.describe()
-    reason = f"the base frame is unknown: no camera is named, and with the benchmark camera {described}"
+    reason = f"{BASE_UNKNOWN}: no camera is named, and with the benchmark camera {described}"
     return replace(choice, better_reading=reading, reason=reason)
 
 

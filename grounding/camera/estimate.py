@@ -31,6 +31,7 @@ from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.tracking.view import DenseEstimator
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.io.progress import count_steps
 from kinebench_drake.models.panda.description import RobotPart
 
 # Checked on right and wrong cameras, of which no wrong one may be accepted:
@@ -106,7 +107,10 @@ class CameraEstimator:
             )
         arm_images = images.without(RobotPart.LINK0)
         for frames_used, passes, kept in _ROUNDS:
-            compared = [self.fitter.compare(c, arm_images, prior, frames_used, passes) for c in candidates]
+            compared = [
+                self.fitter.compare(c, arm_images, prior, frames_used, passes)
+                for c in count_steps(candidates, f"cameras compared in {frames_used} frames", len(candidates))
+            ]
             compared.sort(key=lambda candidate: -candidate.agreement)
             candidates = [
                 self._extend(candidate, detections, search)

@@ -20,6 +20,9 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.named_cameras import NamedCamera
 
+BASE_UNKNOWN = "the base frame is unknown (where the robot stands in the picture)"
+"""Beginning of the reasons for which a track has no verdict."""
+
 
 class PictureReading(Enum):
     """How a picture or a camera matrix may have to be read."""

@@ -19,6 +19,11 @@ from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.video import MIN_SIDE_PX
 from kinebench_drake.segments import evenly
 
+FIRST_FRAME_ADVICE = (
+    "if the model resized or cropped its first frame, save that image as ID.png beside ID.mp4: the change is then "
+    "undone, and the clip takes seconds instead of minutes"
+)
+"""What to do where the camera of a video without its conditioning image is not known."""
 _LEAST_CORRELATION = 0.75
 """Least correlation of a first frame that shows the conditioning image."""
 _BAR_LEVELS = 7.0
@@ -456,8 +461,8 @@ def find_framing(
         )
         raise UnmeasurableError(
             f"{named}camera is {camera.width} x {camera.height}, the video {video[0]} x {video[1]}: the aspect ratios "
-            f"differ, and {problem}; give the video's own camera.json, or its conditioning image: save it as ID.png "
-            "beside ID.mp4"
+            f"differ, and {problem}; give the video's own camera.json, or the model's first frame: save it as ID.png "
+            "beside ID.mp4, by which resizing and cropping are undone"
         )
     rows, columns = framing.window
     sides = columns.stop - columns.start, rows.stop - rows.start

@@ -93,6 +93,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except click.NoSuchOption as error:
         hint = _HINTS.get(error.option_name)
         code = _fail(f"no option {error.option_name}: {hint}" if hint else error.format_message(), error.exit_code)
+    except click.MissingParameter as error:
+        command = PROGRAM if error.ctx is None else error.ctx.command_path
+        code = _fail(f"{error.format_message()} `{command} --help` lists what it takes", error.exit_code)
     except click.ClickException as error:
         code = _fail(error.format_message(), error.exit_code)
     except UsageError as error:

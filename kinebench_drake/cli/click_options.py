@@ -3,7 +3,7 @@
 import errno
 import os
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,25 @@ class PathParameter(click.Path):
             if error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
                 self.fail(f"{os.fspath(value)[:60]}...: {error.strerror}", param, ctx)
         return super().convert(value, param, ctx)
+
+
+class GroupedCommand(click.Command):
+    """Command whose help lists its options in groups."""
+
+    def __init__(self, *args: Any, groups: Mapping[str, Sequence[str]], **settings: Any) -> None:
+        """Create the command; `groups` has the names of options by title, and may name some that it does not have."""
+        super().__init__(*args, **settings)
+        self._groups = groups
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the options group by group, those of no group last."""
+        options = [param for param in self.get_params(ctx) if isinstance(param, click.Option)]
+        records = {option.name: record for option in options if (record := option.get_help_record(ctx))}
+        groups = [(title, [records.pop(n) for n in names if n in records]) for title, names in self._groups.items()]
+        for title, rows in (*groups, ("Other options", list(records.values()))):
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
 
 
 def config_options(

@@ -56,8 +56,8 @@ def compare(folders: tuple[Path, ...], out: Path | None) -> None:
     from kinebench_drake.runs.config import RunKind
 
     runs = read_runs(folders)
-    has_episodes = any(run.kind == RunKind.SUITE.value for run in runs)
-    comparison = load_benchmark().compare(folders) if has_episodes else compare_samples(runs)
+    are_episodes = all(run.kind == RunKind.SUITE.value for run in runs)
+    comparison = load_benchmark().compare(folders) if are_episodes else compare_samples(runs)
     for warning in comparison.warnings:
         echo(f"warning: {warning}", err=True)
     page = None if out is None else comparison.write(out)

@@ -170,8 +170,8 @@ def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:
     if causes := Counter(row.verdict for row in rows if row.success is False):
         n = causes.total()
         shares = (f"{cause.value} {causes[cause.value] / n:.0%} ({causes[cause.value]})" for cause in FailureVerdict)
-        unknown = f", no verdict {causes[None] / n:.0%} ({causes[None]})" if causes[None] else ""
-        yield f"attribution of {count_noun(n, 'failure')}: {', '.join(shares)}{unknown}"
+        undecided = f", undecided {causes[None] / n:.0%} ({causes[None]})" if causes[None] else ""
+        yield f"attribution of {count_noun(n, 'failure')}: {', '.join(shares)}{undecided}"
     faults = [f"anomalies: {_count_samples(row.anomalies for row in rows)}"] if _has_anomalies(rows) else []
     if any(row.violations for row in rows) or not faults:
         faults.append(f"violated limits: {_count_samples(row.violations for row in rows)}")
@@ -190,9 +190,9 @@ def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:
 
 
 def _open_rows(rows: Sequence[SampleRow]) -> dict[str, list[str]]:
-    """Return the reasons of the rows without a verdict or without a measurement, by what they lack."""
+    """Return the reasons of the rows that are undecided, unmeasurable or broken, by these words."""
     return {
-        "no verdict": [
+        "undecided": [
             reason for row in rows if row.status is Status.OK and (reason := row.null_reasons.get("feasible"))
         ],
         **{

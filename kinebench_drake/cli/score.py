@@ -5,7 +5,14 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.click_options import PathParameter, check_parent, check_suffix, config_options, echo
+from kinebench_drake.cli.click_options import (
+    GroupedCommand,
+    PathParameter,
+    check_parent,
+    check_suffix,
+    config_options,
+    echo,
+)
 from kinebench_drake.errors import UsageError, name_options
 from kinebench_drake.runs.audit import AuditConfig
 from kinebench_drake.runs.config import RunKind, ScoreConfig
@@ -30,12 +37,27 @@ _OF_VERDICT = (
     *("fail_on", "fail_under", "sarif", "write_kept"),
 )
 """Options of `score` without a meaning where no motion is judged."""
+_GROUPS = {
+    "Start": ("dry_run", "out"),
+    "Input": (
+        *("frame_period_s", "task_duration_s", "rate_hz", "reading", "camera_key"),
+        *("task", "model", "model_from", "tags", "pixels_only", "masks", "depth", "depth_exact", "poses"),
+    ),
+    "Camera": ("camera", "mirrored", "table_height_m"),
+    "Robot": ("robot", "gripper", "tool", "limits", "payload_kg", "obstacles", "package_path"),
+    "Output": ("overlay", "replays", "format", "write_kept", "sarif"),
+    "Running": ("jobs", "overwrite", "limit", "shard", "engine", "address", "seed"),
+    "Gate": ("fail_on", "fail_under"),
+}
+"""Options of `score`, `ground` and `audit` by their purpose, in the order of the help."""
 _dry_run_option = click.option(
     "--dry-run", is_flag=True, help="List samples, frame periods and cameras; measure and write nothing."
 )
 
 
 @click.command(
+    cls=GroupedCommand,
+    groups=_GROUPS,
     epilog=(
         "\b\nExamples:\n"
         "  kinebench-drake score videos/ --out results/\n"
@@ -45,7 +67,7 @@ _dry_run_option = click.option(
         "  kinebench-drake score models/ --out results/ --model-from folder   # models/wan/a.mp4, ...\n"
         "  kinebench-drake score lerobot-dataset/ --out results/ --camera-key observation.images.front\n"
         "  kinebench-drake score heldout/manifest.jsonl --out results/ --masks heldout --depth heldout"
-    )
+    ),
 )
 @_source_argument
 @config_options(ScoreConfig, omit=("source", "format"))
@@ -59,6 +81,9 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     WorldArena, EWMBench or Dream.exe, a manifest.jsonl, or hf://datasets/ORG/NAME@REVISION of the Hugging Face Hub. A
     camera.json beside the videos gives their camera (docs/formats.md).
 
+    Clips that a model resized, cropped or stretched: save the model's first frame as ID.png beside ID.mp4. The change
+    is undone then; without it such a clip takes minutes, and may stay undecided (docs/footage.md).
+
     --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
     ID.npy or a folder ID/ for every video (docs/overrides.md), or is a demonstration folder with its truth.
     """
@@ -66,13 +91,15 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
 
 
 @click.command(
+    cls=GroupedCommand,
+    groups=_GROUPS,
     epilog=(
         "\b\nExamples:\n"
         "  kinebench-drake ground videos/ --out tracks/ --overlay\n"
         "  kinebench-drake ground videos/ --out tracks/ --masks yolo/ --depth moge:model.pt\n"
         "  kinebench-drake ground videos/ --out tracks/ --poses foundationpose/\n"
         "  kinebench-drake ground videos/ --out tracks/ --format lerobot-v3 --frame-period 0.2"
-    )
+    ),
 )
 @_source_argument
 @config_options(ScoreConfig, omit=("source", *_OF_VERDICT))
@@ -91,6 +118,8 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
 
 
 @click.command(
+    cls=GroupedCommand,
+    groups=_GROUPS,
     epilog=(
         "\b\nExamples:\n"
         "  kinebench-drake audit track.npz --out results/\n"
@@ -100,7 +129,7 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "  kinebench-drake audit track.csv --out results/ --robot fr3 --payload 0.5\n"
         "  kinebench-drake audit track.csv --out results/ --robot arm.urdf --tool tool0 --limits limits.json\n"
         "  kinebench-drake audit dataset/ --out results/ --fail-on infeasible --fail-under feasible=0.95"
-    )
+    ),
 )
 @_source_argument
 @config_options(AuditConfig, omit=("source",))
@@ -111,8 +140,8 @@ def audit(ctx: click.Context, /, **options: Any) -> None:
     PATH is an npz, csv, h5 (ManiSkill, robomimic, LIBERO), npy, txt, json or parquet file, a LeRobot dataset (v2, v3),
     an output folder of score or ground or its tracks/, or a folder of these. Joint angles are judged as recorded; poses
     are infeasible only if no joint path follows them. Columns, units and rotations follow from their names
-    (docs/formats.md); where others fit the robot far better, the row says so and there is no verdict. --reading says
-    how to read; `kinebench-drake reading PATH` prints such a file.
+    (docs/formats.md); where others fit the robot far better, the row says so and is undecided. --reading says how to
+    read; `kinebench-drake reading PATH` prints such a file.
     """
     from kinebench_drake.cli.progress import run
     from kinebench_drake.runs.audit import audit_trajectories

@@ -257,10 +257,17 @@ def write_video(
         crf: quality of x264, 0 (lossless) to 51; 18 is visually close to lossless.
         preset: effort of x264; "veryfast" takes 0.4 times the time of "medium", for videos that are only looked at.
         keyframe_every: greatest distance between keyframes [frames]; None leaves it to x264.
+
+    Raises:
+        InputError: a frame has another shape or type.
     """
     with _create_mp4(path) as container:
         stream: VideoStream | None = None
         for image in frames:
+            if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+                raise InputError(
+                    f"{path.name}: a frame has shape {image.shape} and type {image.dtype}, expected (H, W, 3) and uint8"
+                )
             if stream is None:
                 rate = Fraction(fps).limit_denominator(10_000)
                 options = {"crf": str(crf), "preset": preset, "x264-params": _PARAMETERS}

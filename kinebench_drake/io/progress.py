@@ -37,11 +37,15 @@ def tell(line: str) -> None:
 
 
 def count_steps(steps: Iterable[T], done: str, total: int | None = None) -> Iterator[T]:
-    """Yield the steps of some work, and tell how many are `done`, as in "1200 of 2000 frames decoded"."""
-    of = "" if total is None else f" of {total}"
-    last_s = time.monotonic()
+    """Yield the steps of some work, and tell how many are `done`.
+
+    As in "1200 of 2000 frames decoded, about 8 s left", the time by the mean of the steps before.
+    """
+    start_s = last_s = time.monotonic()
     for number, step in enumerate(steps, 1):
         yield step
-        if time.monotonic() - last_s >= EVERY_S:
-            last_s = time.monotonic()
-            tell(f"{number}{of} {done}")
+        now_s = time.monotonic()
+        if now_s - last_s >= EVERY_S:
+            last_s = now_s
+            left_s = None if total is None else (now_s - start_s) / number * (total - number)
+            tell(f"{number} {done}" if left_s is None else f"{number} of {total} {done}, about {left_s:.0f} s left")

@@ -15,6 +15,9 @@ LOW_CONFIDENCE = 0.8
 FEW_TRACKED = 0.95
 """Share of frames with a pose below which the rest deserves a look."""
 
+_SEPARATOR = "; "
+"""Text between the reasons of a row."""
+
 
 class TrustLevel(Enum):
     """Whether the numbers of a sample can be used unseen."""
@@ -66,26 +69,24 @@ def assess_trust(row: SampleRow, period: str, *, is_measured: bool) -> TrustEntr
     }
     has_base = state != CameraState.NONE.value
     unknown = {"the base frame is unknown": not has_base, "the track is not trusted": not is_measured}
-    level = TrustLevel.SOLID
-    reason = "nothing speaks against it"
-    for worse, reasons in ((TrustLevel.CHECK, doubts), (TrustLevel.UNKNOWN, unknown)):
-        applying = [text for text, applies in reasons.items() if applies]
-        if applying:
-            level = worse
-            reason = applying[0]
-    detail = row.base_frame_reason if row.base_frame_reason and not has_base else reason
+    reasons = [text for text, applies in {**unknown, **doubts}.items() if applies]
+    level = TrustLevel.UNKNOWN if any(unknown.values()) else TrustLevel.CHECK if reasons else TrustLevel.SOLID
+    reason = _SEPARATOR.join(reasons) or "nothing speaks against it"
+    detail = reason
+    if row.base_frame_reason and not has_base:
+        detail = _SEPARATOR.join([row.base_frame_reason, *reasons[1:]])
     return TrustEntry(level=level.value, reason=reason, line=f"{level.value}: {detail} ({'; '.join(facts)})")
 
 
 def trust_lines(rows: Iterable[SampleRow]) -> list[str]:
-    """Count the levels of rows, with reasons, in one line; none if no row has one."""
-    counts = Counter((row.trust.level, row.trust.reason) for row in rows if row.trust is not None)
-    if not counts:
-        return []
+    """Count the levels of rows, and of each the reasons, in one line; none if no row has one."""
+    entries = [row.trust for row in rows if row.trust is not None]
     parts = []
     for level in TrustLevel:
-        reasons = sorted(((n, reason) for (own, reason), n in counts.items() if own == level.value), reverse=True)
+        reasons = [entry.reason for entry in entries if entry.level == level.value]
         if reasons:
-            listed = "" if level is TrustLevel.SOLID else f" ({'; '.join(f'{reason}: {n}' for n, reason in reasons)})"
-            parts.append(f"{sum(n for n, _ in reasons)} {level.value}{listed}")
-    return [f"trust: {', '.join(parts)}"]
+            counts = Counter(reason for own in reasons for reason in own.split(_SEPARATOR))
+            ranked = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+            listed = "" if level is TrustLevel.SOLID else f" ({'; '.join(f'{reason}: {n}' for reason, n in ranked)})"
+            parts.append(f"{len(reasons)} {level.value}{listed}")
+    return [f"trust: {', '.join(parts)}"] if parts else []

@@ -20,6 +20,9 @@ from kinebench_drake.report.verdict import GOOD_VERDICTS, verdict_of
 from kinebench_drake.results.aggregate import group_by
 from kinebench_drake.results.row import SampleRow
 
+_NOUNS = {"suite": "episodes", "audit": "trajectories"}
+"""Samples by the kind of their run, where they are no videos."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelSample:
@@ -59,10 +62,8 @@ def compare_samples(runs: Sequence[Run]) -> ModelComparison:
     """
     for run in runs[1:]:
         if run.kind != runs[0].kind:
-            raise UsageError(
-                f"{runs[0].path} is of a run of kind {runs[0].kind!r} and {run.path} of {run.kind!r}: compare runs of "
-                "one kind"
-            )
+            one, other = (f"{_NOUNS.get(r.kind, 'videos')} of `{r.kind}` in {r.path}" for r in (runs[0], run))
+            raise UsageError(f"{one} and {other} cannot be compared: name runs of one kind")
     samples = label_samples(runs)
     pairs = pair_models(samples)
     numbers = [

@@ -8,7 +8,7 @@ from kinebench_drake.metrics.trust import TrustLevel
 from kinebench_drake.report.limit_table import describe_violation, format_frames
 from kinebench_drake.results.row import SampleRow, Status
 
-_FAILURES = {cause.value: f"failed by {cause.value}" for cause in FailureVerdict}
+_FAILURES = {cause.value: f"failed: {cause.value}" for cause in FailureVerdict}
 VERDICT_LABELS = {
     **{"error": "error", "infeasible": "infeasible", **_FAILURES},
     **{"unmeasurable": "unmeasurable", "feasible": "not executable, no limit broken", "unjudged": "undecided"},
@@ -39,9 +39,14 @@ def verdict_of(row: SampleRow) -> str:
 
 
 def describe_verdict(row: SampleRow) -> str:
-    """Describe the verdict of a row and what decides on it, such as `not executable: vanish, frames 4 to 13`."""
+    """Describe the verdict of a row and what decides on it.
+
+    Such as `not executable: vanish, frames 4 to 13`, or `failed: task, not on target` of an episode.
+    """
+    name = name_verdict(row)
     cause = explain_verdict(row)
-    return f"{name_verdict(row)}: {cause}" if cause else name_verdict(row)
+    separator = ", " if ":" in name else ": "
+    return f"{name}{separator}{cause}" if cause else name
 
 
 def name_verdict(row: SampleRow) -> str:
@@ -98,7 +103,7 @@ def _describe_reason(row: SampleRow, reason: str) -> str:
         worst = describe_violation(row.violations[0])
         return f"{worst} and {count_noun(others, 'violation')} more" if others else worst
     if kind == UNDECIDED:
-        return row.null_reasons.get("feasible", "the motion has no verdict")
+        return row.null_reasons.get("feasible", "no reason stored")
     if kind == LOST:
         return f"no pose in {detail}"
     if kind == UNCHECKED:

@@ -47,7 +47,7 @@ _CAMERAS: Mapping[str, str] = {
     "auto": "one known by name where the arm confirms it, else estimated from the arm",
     "recognized": "known by name, recognized by the arm",
     "estimated": "estimated from the arm",
-    "none": "unknown, there is no base frame",
+    "none": "unknown: without a base frame (the robot's own) verdicts are undecided",
 }
 _LOOKS: Mapping[str, str] = {
     Domain.FAMILIAR.value: "familiar to the networks",

@@ -199,15 +199,15 @@ class SampleRow:
     content_hash: str
     """SHA-256 of all inputs of the result: a row with the same hash need not be computed again."""
     feasible: bool | None = None
-    """Whether the arm can do the motion that was seen; null: open."""
+    """Whether the arm can do the motion that was seen; null: undecided."""
     executable: bool | None = None
-    """Whether a robot can execute the sample as it is seen; null: open."""
+    """Whether a robot can execute the sample as it is seen; null: undecided."""
     executable_reasons: tuple[str, ...] = ()
     """What speaks against executing the sample, and what could not be measured."""
     violations: tuple[Violation, ...] = ()
     """Limits that the motion breaks, by cause, within a kind by frame."""
     metrics: Metrics = field(default_factory=Metrics)
-    """Metrics by name: numbers, truth values, anomalies; null if not measurable. Where frames are lost or out of reach,
+    """Metrics by name: numbers, truth values, anomalies; null if unmeasurable. Where frames are lost or out of reach,
     `NAME_bound` is the worst that NAME can be."""
     null_reasons: Mapping[str, str] = field(default_factory=dict)
     """Reason for each null metric, by name; for a sample that is not ok see `reason`."""
@@ -296,7 +296,7 @@ class SampleRow:
     camera_paths: tuple[Mapping[str, Json] | None, ...] | None = None
     """The same of each clip of an episode."""
     base_frame_reason: str | None = None
-    """Why there is no base frame, and so no verdict."""
+    """Why there is no base frame, and the sample is undecided."""
     possible_cameras: int | None = None
     """Number of cameras that may be right, under all of which the verdict holds."""
     table_height_m: float | None = None

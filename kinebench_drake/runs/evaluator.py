@@ -259,11 +259,11 @@ def _null_reasons(
     reasons = {}
     for name, value in metrics.items():
         if value is None:
-            reasons[name] = stated.get(name) or stated.get("") or "cannot be measured on this sample"
+            reasons[name] = stated.get(name) or stated.get("") or "unmeasurable on this sample"
         elif isinstance(value, float) and not math.isfinite(value):
             reasons[name] = stated.get(name) or f"came out as {value}"
     if "feasible" in others and not is_judged:
         reasons["feasible"] = others["feasible"]
     if kinematics and kinematics.feasible is None:
-        reasons["feasible"] = stated.get("feasible", "cannot be measured on this sample")
+        reasons["feasible"] = stated.get("feasible", "unmeasurable on this sample")
     return reasons

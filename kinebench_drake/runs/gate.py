@@ -50,4 +50,4 @@ def _missed(config: SourceConfig, summary: RunSummary) -> Iterator[str]:
             numbers = [value for value in values if value is not None]
             value = float(np.mean(numbers)) if numbers else None
         if value is None or value < float(least):
-            yield f"{name} is {'not measurable' if value is None else f'{value:.4g}'}, expected {least} or more"
+            yield f"{name} is {'unmeasurable' if value is None else f'{value:.4g}'}, expected {least} or more"

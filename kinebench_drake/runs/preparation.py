@@ -184,7 +184,8 @@ def row_warnings(rows: Sequence[SampleRow]) -> list[str]:
         ),
         (
             sum(row.base_frame_reason is not None for row in measured),
-            "no base frame in {}: reach, limits and verdicts are null there, with the reason",
+            "no base frame (coordinates of the robot's foot) in {}: reach, limits and verdicts are undecided there, "
+            "with the reason",
         ),
         (
             count("frame_period_source", PeriodSource.BENCHMARK),

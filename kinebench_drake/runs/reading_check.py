@@ -19,7 +19,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, name_options
-from kinebench_drake.formats.trajectories.columns import complete, find_poses, is_documented, is_numbered
+from kinebench_drake.formats.trajectories.columns import (
+    complete,
+    find_poses,
+    is_documented,
+    is_numbered,
+    list_joint_rows,
+)
 from kinebench_drake.formats.trajectories.reading import (
     ANGLES,
     JOINTS,
@@ -156,6 +162,8 @@ MARGIN = 0.3
 """Difference of costs (`metrics.misfit`) from which another reading fits far better."""
 REFUSED = 3.0
 """Cost of a reading by which a file cannot be used: more than that of any motion."""
+PROPOSED = 0.95
+"""Cost below which a reading is proposed that no name states: wrong readings of recordings have 0.99 or more."""
 PRINTED = 5
 """Further readings that are printed."""
 
@@ -531,16 +539,28 @@ def assess_path(source: Path, options: RobotOptions, make_resources: ResourcesFa
     """
     choice = TrajectoryOptions()
     sample = find_trajectories(source, choice)[0]
+    tools = load_resources(make_resources, options)
+    samples = sample.alike or (sample,)
     try:
-        assessment = assess_readings(
-            load_resources(make_resources, options),
-            sample.alike or (sample,),
-            choice,
-            thorough=True,
-            is_franka=options.is_named,
-        )
+        assessment = assess_readings(tools, samples, choice, thorough=True, is_franka=options.is_named)
     except InputError as error:
-        raise UsageError(f"{sample.video}: {error}") from None
+        assessment = _propose_joints(tools, samples)
+        if assessment is None:
+            raise UsageError(f"{sample.video}: {error}") from None
     if assessment is None:
         raise UsageError(f"{sample.video}: is too short to tell one reading from another")
     return assessment
+
+
+def _propose_joints(tools: Resources, samples: tuple[TrajectorySample, ...]) -> Assessment | None:
+    """Return the seven consecutive numbers that fit the robot best as joint angles; None if none fit."""
+    with open_table(samples[0]) as table:
+        choices = [TrajectoryOptions(reading=reading) for reading in list_joint_rows(table)]
+    assessed = [assess_readings(tools, samples, choice, thorough=True) for choice in choices]
+    fitting = [one for one in assessed if one is not None and one.best.cost < PROPOSED]
+    if not fitting:
+        return None
+    chosen = min(fitting, key=lambda one: one.best.cost)
+    name = "joint angles in seven consecutive columns, a proposal by their fit: no name says so"
+    best = replace(chosen.best, name=name)
+    return replace(chosen, by_names=best, best=best)

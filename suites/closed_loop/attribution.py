@@ -117,7 +117,7 @@ def attribute(clips: Sequence[ClipEvidence], goal: str) -> Cause:
                 return Cause(
                     verdict=verdict, round=number, frame_start=start, frame_end=end, value=value, limit=limit, text=text
                 )
-    text = f"grounded, feasible and executed as generated, yet {goal or 'the goal is not met'}"
+    text = f"{goal or 'the goal is not met'} (grounded, feasible and executed as generated)"
     return Cause(verdict=FailureVerdict.TASK, text=text)
 
 

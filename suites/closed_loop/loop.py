@@ -44,6 +44,7 @@ from kinebench_drake.suites.worldmodels.worldmodel import (
     SupportsTrueTrack,
     WorldModel,
     WorldModelError,
+    request_video,
 )
 from kinebench_drake.track import GripperTrack, InitialState
 
@@ -200,7 +201,7 @@ class ClosedLoop:
                 model.set_state(episode, simulator.simulation_state())
             out = videos.with_name(f"{videos.name}_r{number}")
             try:
-                video = place_beside(model.generate(request, out), out)
+                video = place_beside(request_video(model, request, out), out)
             except WorldModelError:
                 if not rounds or not isinstance(model, PrivilegedModel):
                     raise

@@ -80,10 +80,10 @@ class EpisodeResult:
 
     @property
     def outcome(self) -> str:
-        """The word "success", "failure", "unmeasurable", "error" or "unknown"."""
+        """The word "success", "failure", "unmeasurable", "error" or "undecided"."""
         if self.success is not None:
             return "success" if self.success else "failure"
-        return "unknown" if self.row.status is Status.OK else str(self.row.status.value)
+        return "undecided" if self.row.status is Status.OK else str(self.row.status.value)
 
     @property
     def hit(self) -> float | None:

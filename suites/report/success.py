@@ -35,7 +35,7 @@ from kinebench_drake.suites.report.episode_result import (
 
 FAILURE_CAUSES = tuple(cause.value for cause in FailureVerdict)
 """Causes of failure, in causal order (see docs/formats.md)."""
-NO_VERDICT = "no verdict"
+UNDECIDED = "undecided"
 """Failures without a recorded cause."""
 _NOT_MEASURED = "not measured"
 
@@ -65,7 +65,7 @@ class Tally:
     means: Mapping[str, Estimate]
     """Means over tasks of progress 0..1, rounds (clips requested), SPARC and scaled manipulability cost 0..1."""
     verdicts: Mapping[str, int]
-    """Measured failures by verdict, NO_VERDICT included."""
+    """Measured failures by verdict, UNDECIDED included."""
     passes: Mapping[int, Estimate]
     """pass@k by k, pooled over tasks; empty with one sample an episode."""
 
@@ -81,7 +81,7 @@ def tally(episodes: Sequence[EpisodeResult], among: Sequence[EpisodeResult] | No
     measured = [o for o in outcomes if o is not None]
     runs = [(e.part, e.model, e.row.episode) for e in episodes]
     errors = sum(e.row.status is Status.ERROR for e in episodes)
-    failures = Counter(e.verdict or NO_VERDICT for e in episodes if e.success is False)
+    failures = Counter(e.verdict or UNDECIDED for e in episodes if e.success is False)
     verdicts = {name: failures.pop(name, 0) for name in FAILURE_CAUSES}
     return Tally(
         episodes=len(episodes),
@@ -101,7 +101,7 @@ def tally(episodes: Sequence[EpisodeResult], among: Sequence[EpisodeResult] | No
             "sparc": mean_over_tasks(episodes, lambda e: e.metric("sparc"), worst_metric("sparc", every)),
             "manipulability_cost_scaled": mean_over_tasks(episodes, lambda e: e.cost_scaled, 1.0),
         },
-        verdicts={**verdicts, NO_VERDICT: sum(failures.values())},
+        verdicts={**verdicts, UNDECIDED: sum(failures.values())},
         passes=estimate_passes([e.row for e in episodes]) if has_samples(episodes) else {},
     )
 
@@ -230,7 +230,7 @@ def draw_verdicts(episodes: Sequence[EpisodeResult]) -> ReportFigure:
     """Draw the outcomes of all episodes of every model on every part as stacked bars."""
     runs = group_by_run(episodes)
     colours = {name: VERDICT_COLOURS[name] for name in ("success", *FAILURE_CAUSES)}
-    colours |= {NO_VERDICT: COLOURS[8], _NOT_MEASURED: NEUTRAL}
+    colours |= {UNDECIDED: COLOURS[8], _NOT_MEASURED: NEUTRAL}
     tallies = [tally(own) for *_, own in runs]
     counts = [
         {**t.verdicts, "success": t.measured - sum(t.verdicts.values()), _NOT_MEASURED: t.unmeasurable + t.errors}

@@ -58,7 +58,7 @@ class SuiteConfig(RunConfig):
         str,
         Option(
             "World model: folder:DIR, http://..., command:..., dashscope:, minimax:, diffusers:..., oracle, still, "
-            "random, module:Class (docs/worldmodels.md).",
+            "random, module:Class, FILE.py:Class (docs/worldmodels.md).",
             metavar="SPEC",
         ),
     ]

@@ -1,11 +1,14 @@
 """World models from the specs of the command line. Importing this module loads neither simulator nor network."""
 
+import inspect
+import traceback
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
 
 from pydantic import Field
 
-from kinebench_drake.errors import UsageError, count_noun, suggestion
+from kinebench_drake.errors import KinebenchError, UsageError, cause, count_noun, suggestion
 from kinebench_drake.plugin import is_class_name, load_class
 from kinebench_drake.suites.worldmodels.cloud import DashScopeModel, MiniMaxModel
 from kinebench_drake.suites.worldmodels.command import CommandModel
@@ -73,14 +76,15 @@ FORMS: Mapping[str, SpecForm] = {
     "random": SpecForm("random", _make_lower_bound),
 }
 """World models by the kind of their spec."""
-_CLASS_USAGE = "module:Class"
+_CLASS_USAGE = "module:Class, FILE.py:Class"
 
 
 def create(text: str) -> WorldModel:
     """Create the world model of a spec; nothing is loaded or requested before the first video.
 
     Args:
-        text: `KIND[:REST][?key=value&key=value]`, or `module:Class`, whose options become keyword arguments.
+        text: `KIND[:REST][?key=value&key=value]`, or `module:Class` or `FILE.py:Class`, whose options become keyword
+            arguments.
 
     Raises:
         UsageError: the spec is invalid; the message lists the forms.
@@ -96,18 +100,27 @@ def create(text: str) -> WorldModel:
             f"no world model {spec.kind!r}{hint}; expected one of {usages}, each with options ?key=value&key=value"
         )
     try:
-        return _make_plugin(spec)
+        plugin = load_class(spec.plain, argument=ARGUMENT, method="generate", arguments="request, out")
     except UsageError as error:
         hint = suggestion(spec.kind, FORMS)
         raise UsageError(f"{error}{hint}; world models are named {usages}") from None
+    return _make_plugin(plugin, spec)
 
 
-def _make_plugin(spec: Spec) -> WorldModel:
-    plugin = load_class(spec.plain, argument=ARGUMENT, method="generate", arguments="request, out")
+def _make_plugin(plugin: type, spec: Spec) -> WorldModel:
+    """Create an instance of the user's class."""
+    try:
+        inspect.signature(plugin).bind(**spec.options)
+    except TypeError as error:
+        raise spec.unusable(f"the class does not take these options ({error})") from None
     try:
         model: Any = plugin(**spec.options)
-    except TypeError as error:
-        raise spec.unusable(f"the class does not take these options ({error})") from error
+    except KinebenchError:
+        raise
+    except Exception as error:  # code of the user, which may raise anything
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        place = f"{Path(last.filename).name}, line {last.lineno}"
+        raise spec.unusable(f"its __init__ raised {type(error).__name__}: {cause(error)} ({place})") from error
     if not isinstance(getattr(model, "name", None), str) or not callable(getattr(model, "close", None)):
         raise spec.unusable("expected a class whose instances have a name, a string, and a method close()")
     return cast(WorldModel, model)

@@ -1,5 +1,7 @@
 """World model interface: request, answer, and the protocols that an adapter may implement."""
 
+import os
+import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -9,8 +11,9 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.errors import InputError
+from kinebench_drake.errors import InputError, KinebenchError, cause
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import Json
 
 if TYPE_CHECKING:  # naming a world model should not load the assets
@@ -158,3 +161,50 @@ class SupportsTrueTrack(Protocol):
 
     def true_track(self) -> TrueTrack | None:
         """Return the track of the clip generated last; None where the model does not disclose it."""
+
+
+def request_video(model: WorldModel, request: Request, out: Path) -> Path:
+    """Return the answer of a world model, which exists; the traceback of any other error is written beside `out`.
+
+    Raises:
+        InputError: `generate` raised an error that it should not raise, or returned something else than a path.
+        KinebenchError: it raised this error.
+    """
+    try:
+        answer: object = model.generate(request, out)
+    except KinebenchError:
+        raise
+    except Exception as error:  # code of the user, which may raise anything
+        file = out.with_name(f"{out.name}_error.txt")
+        write_atomically(file, _format_traceback(error).encode())
+        raise InputError(
+            f"the world model raised {type(error).__name__}: {cause(error)}; its traceback is in "
+            f"{file.parent.name}/{file.name}"
+        ) from error
+    if isinstance(answer, str | os.PathLike) and Path(answer).exists():
+        return Path(answer)
+    raise InputError(
+        f"generate returned {_describe_answer(answer)}, expected the path of the video that it wrote, such as "
+        'out.with_name(out.name + ".mp4"), or of a folder of frames; `kinebench_drake.write_video(path, frames, '
+        "request.fps)` writes an array of frames (T, H, W, 3) uint8"
+    )
+
+
+def _describe_answer(answer: object) -> str:
+    if isinstance(answer, str | os.PathLike):
+        return f"{Path(answer).name}, which does not exist"
+    if answer is None:
+        return "None"
+    shape = getattr(answer, "shape", None)
+    return f"a {type(answer).__name__}{'' if shape is None else f' of shape {tuple(shape)}'}"
+
+
+def _format_traceback(error: Exception) -> str:
+    """Format an error with those that led to it; files by their names, as output folders hold no absolute paths."""
+    trace = traceback.TracebackException.from_exception(error)
+    link: traceback.TracebackException | None = trace
+    while link is not None:
+        for frame in link.stack:
+            frame.filename = Path(frame.filename).name
+        link = link.__cause__ or link.__context__
+    return "".join(trace.format())

@@ -62,7 +62,7 @@ def test_camera_benchmark_makes_videos_of_another_aspect_ratio_unmeasurable(conf
     row = read_rows(tmp_path / "out")["wide"]
     assert (row.status, row.camera_source) == (Status.UNMEASURABLE, "option")
     assert "aspect ratios differ" in row.reason
-    assert row.reason.endswith("its conditioning image: save it as ID.png beside ID.mp4")
+    assert "the model's first frame: save it as ID.png beside ID.mp4" in row.reason
 
 
 def test_an_untrusted_sample_still_has_a_track_with_poses_and_an_overlay(film, config, tmp_path):

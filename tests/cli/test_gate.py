@@ -97,7 +97,7 @@ def test_kept_episodes_are_those_without_an_entry_but_for_idle_ends(audit, datas
         ({"fail_under": {"feasible": "0.8"}}, []),
         ({"fail_under": {"feasible": "0.81"}}, ["feasible is 0.8, expected 0.81 or more"]),
         ({"fail_under": {"ik_success_rate": "1"}}, []),
-        ({"fail_under": {"manipulability_mean": "0"}}, ["manipulability_mean is not measurable"]),
+        ({"fail_under": {"manipulability_mean": "0"}}, ["manipulability_mean is unmeasurable"]),
     ],
 )
 def test_missed_bounds_are_named(audit, changes, missed):

@@ -62,9 +62,10 @@ def test_the_slurm_example_uses_existing_commands_and_options(program, tmp_path)
         step: subprocess.run(
             ["bash", script, *step], env=told, capture_output=True, text=True, check=True
         ).stdout.split()
-        for step in ((), ("merge",))
+        for step in ((), ("merge",), ("--seed", "3"))
     }
     assert calls[()][-4:] == ["--shard", "3/16", "--jobs", "8"]
+    assert calls[("--seed", "3")] == [*calls[()], "--seed", "3"]
     assert calls[("merge",)] == ["merge", f"{tmp_path}/shards/3", "--out", f"{tmp_path}/merged"]
     assert "videos: there is no such file" in program(*calls[()])[2]
     assert "holds no samples.jsonl" in program(*calls[("merge",)])[2]

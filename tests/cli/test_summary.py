@@ -70,7 +70,7 @@ def test_summary_of_failed_episodes_has_the_share_of_each_cause():
     attribution = lines(*failed, judged("a", True, True, success=True, verdict=None))[1]
     assert attribution == (
         "attribution of 4 failures: grounding 25% (1), generation 50% (2), execution 0% (0), task 0% (0), "
-        "no verdict 25% (1)"
+        "undecided 25% (1)"
     )
 
 

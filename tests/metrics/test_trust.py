@@ -51,6 +51,16 @@ def test_each_doubt_lowers_the_trust_level_and_is_its_reason(extra, metrics, is_
     assert reason in trust.reason
 
 
+def test_all_reasons_are_stated_the_worst_first_and_each_is_counted():
+    doubtful = {**EXTRA, "camera_state": "none", "domain": "unfamiliar"}
+    row = make_row(metrics={**METRICS, "tracked_fraction": 0.9}, extra=doubtful)
+    trust = assess_trust(row, PERIOD, is_measured=True)
+    assert trust.reason == "the base frame is unknown; frames could not be measured; the look is unfamiliar"
+    assert trust_lines([row.extended(trust=trust)] * 2) == [
+        "trust: 2 unknown (frames could not be measured: 2; the base frame is unknown: 2; the look is unfamiliar: 2)"
+    ]
+
+
 def test_the_trust_line_of_an_unknown_base_frame_states_its_evidence():
     trust = assess_trust(
         make_row(metrics=METRICS, extra={**EXTRA, "camera_state": "none", "base_frame_reason": "72% against 56%"}),

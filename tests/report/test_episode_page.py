@@ -38,7 +38,7 @@ def test_success_is_the_headline_number(page):
 
 def test_each_failure_names_its_cause(page):
     badges = re.findall(r'<span class="badge v-(\w+)">([^<]*)', page)
-    assert badges[1:3] == [("execution", "failed by execution"), ("task", "failed by task")]
+    assert badges[1:3] == [("execution", "failed: execution"), ("task", "failed: task")]
     assert badges.count(("success", "success")) == 2
     assert "off by &lt;script&gt;" in page
     assert EVIL not in page

@@ -108,7 +108,12 @@ def test_other_differences_of_the_runs_are_warnings(tmp_path):
         ({"x": {}}, {"y": {}}, {}, "share a sample: ids and file names differ .such as 'x' and 'y'."),
         ({"x": {"task": "A"}}, {"x": {"task": "B"}}, {}, "x has task A in a and B in b: they are different samples"),
         ({"x": {"seed": 1}}, {"x": {"seed": 2}}, {}, "x has seed 1 in a and 2 in b"),
-        ({"x": {}}, {"x": {}}, {"kind": "audit"}, "kind 'score' and .* of 'audit'"),
+        (
+            {"x": {}},
+            {"x": {}},
+            {"kind": "audit"},
+            "videos of `score` in .* and trajectories of `audit` in .* cannot be compared",
+        ),
         ({"x": {}}, {"x": {}}, {"schema_version": 2}, "schema_version 1 and .* 2"),
     ],
 )

@@ -141,7 +141,7 @@ def test_the_gripper_alone_is_shown_without_joint_angles(build, track, tmp_path)
     shown = paths(page)
     assert not {p for p in shown if p.startswith("/arm")}
     assert {"/gripper/panda_hand", "/gripper/panda_leftfinger", "/gripper/panda_rightfinger", "/tcp/x"} <= shown
-    assert "<p>undecided: the motion has no verdict</p>" in page
+    assert "<p>undecided: no reason stored</p>" in page
 
 
 def test_faults_are_listed_with_their_times(build, file):

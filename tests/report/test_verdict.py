@@ -92,7 +92,7 @@ def episode(success, executable=True, *reasons, cause=None, **fields):
 
 def test_an_episode_has_its_outcome_with_the_cause_of_a_failure():
     assert describe_verdict(episode(True)) == "success"
-    assert describe_verdict(episode(False, cause="task")) == "failed by task: never on target"
+    assert describe_verdict(episode(False, cause="task")) == "failed: task, never on target"
 
 
 def test_a_success_that_no_robot_can_repeat_says_so():

@@ -5,12 +5,13 @@ import re
 import numpy as np
 import pytest
 
+from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.trajectories.reading import TOOLS, Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import TrajectoryFormat, TrajectorySample
 from kinebench_drake.geometry import invert, make_pose, rotation_z, to_quaternion
 from kinebench_drake.runs.audit import judge_trajectory
-from kinebench_drake.runs.reading_check import POSTURES, assess_readings, doubt_frame, doubt_robot
+from kinebench_drake.runs.reading_check import POSTURES, assess_path, assess_readings, doubt_frame, doubt_robot
 from kinebench_drake.runs.resources import Resources, RobotOptions
 
 T_S = 0.05 * np.arange(60)
@@ -52,6 +53,30 @@ def test_a_mistaken_convention_is_named_and_its_key_ends_the_doubt(tmp_path, too
     assert f'"{key}": "{value}"' in assessment.doubt
     choice = TrajectoryOptions(reading=Reading(**{key: value}))
     assert assess_readings(tools, (sample,), choice).doubt is None
+
+
+@pytest.mark.parametrize(
+    ("header", "proposed"),
+    [
+        ("t,n,a,b,c,d,e,f,g", list("abcdefg")),
+        ("t,n," + ",".join(f"a{k}_vel" for k in range(7)), None),
+        ("t,n,x,y,z,d,e,f,g", None),
+    ],
+)
+def test_seven_columns_in_a_row_are_proposed_if_they_fit_and_say_nothing_else(tmp_path, header, proposed):
+    """The proposal is complete: as a reading file it reads the same joint angles."""
+    q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8]) + 0.2 * np.sin(T_S)[:, None]
+    path = tmp_path / "mine.csv"
+    np.savetxt(path, np.column_stack([T_S, np.arange(60), q]), delimiter=",", header=header, comments="")
+    if proposed is None:
+        with pytest.raises(UsageError, match="no column is known to hold seven joint angles"):
+            assess_path(path, RobotOptions())
+        return
+    printed = assess_path(path, RobotOptions()).to_json()
+    assert printed["reading"] == {"columns": proposed, "layout": "joints", "time": "t"}
+    choice = TrajectoryOptions(reading=Reading.parse(printed))
+    [sample] = find_trajectories(path, choice)
+    np.testing.assert_allclose(read_trajectory(sample, choice).q, q)
 
 
 def test_a_right_file_is_not_doubted(tmp_path, tools):

@@ -54,6 +54,8 @@ _ROTATION_ARRAYS = (
     (re.compile(r".*(mat|rot|ori).*"), 9, "matrix_rows"),
 )
 """Arrays of rotations: names, numbers and layout."""
+_MOST_ROWS = 16
+"""Readings of seven consecutive numbers that are tried."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,8 +141,24 @@ def _by_names(table: ColumnTable, wanted: Reading) -> Reading:
         raise InputError(f"no column is certain to hold the seven joint angles of one arm; there are {several}")
     raise InputError(
         f"no column is known to hold seven joint angles or a pose; found {table.describe()}; name it in $reading FILE, "
-        'such as {"columns": "COLUMN[0:7]", "layout": "joints"}'
+        'such as {"columns": "COLUMN[0:7]", "layout": "joints"}; `kinebench-drake reading PATH` proposes one'
     )
+
+
+def list_joint_rows(table: ColumnTable) -> list[Reading]:
+    """Return the readings of seven consecutive numbers as joint angles, of those whose names say nothing else."""
+    arrays = [
+        _Group(places=tuple((column, k) for k in range(column.size)), names=("",) * column.size)
+        for column in _arrays(table, Reading())
+    ]
+    readings = []
+    for group in (*_groups(table, Reading()), *arrays):
+        is_free = [not (_TIME.fullmatch(n.lower()) or _OTHER_WORDS & {*_words(n)} or _role(n)) for n in group.names]
+        for first in range(len(is_free) - N_JOINTS + 1):
+            if all(is_free[first : first + N_JOINTS]):
+                columns = group.references(range(first, first + N_JOINTS))
+                readings.append(Reading(columns=columns, layout=JOINTS))
+    return readings[:_MOST_ROWS]
 
 
 def _groups(table: ColumnTable, wanted: Reading) -> Iterator[_Group]:

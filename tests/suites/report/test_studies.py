@@ -37,14 +37,14 @@ def test_unmeasured_episodes_are_counted_and_lower_the_bound_alone(tmp_path):
     assert (t.pooled.low, t.pooled.high) == pytest.approx((0.2077, 0.9385), abs=1e-4)  # Wilson, 2 of 3
     assert t.counted.mean == pytest.approx(2 / 5)
     assert t.counted.n == 5
-    assert t.verdicts == {"grounding": 0, "generation": 0, "execution": 0, "task": 1, "no verdict": 0}
+    assert t.verdicts == {"grounding": 0, "generation": 0, "execution": 0, "task": 1, "undecided": 0}
 
 
 def test_a_row_without_success_is_unmeasurable(tmp_path):
     silent = outcome(False, extra={"progress": 0.5})
     unexplained = outcome(False, extra={"success": False, "progress": 0.0})
     t = tally(episodes_of(write_run(tmp_path / "a", {"T": [silent, unexplained]})))
-    assert (t.measured, t.unmeasurable, t.verdicts["no verdict"]) == (1, 1, 1)
+    assert (t.measured, t.unmeasurable, t.verdicts["undecided"]) == (1, 1, 1)
 
 
 def test_the_balanced_mean_weights_every_task_equally():

@@ -1,16 +1,18 @@
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.io.container import write_video
 from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.suites.worldmodels.factory import FORMS, create
 from kinebench_drake.suites.worldmodels.media import DEMUXERS, suffix_of
 from kinebench_drake.suites.worldmodels.spec import Spec, parse
-from kinebench_drake.suites.worldmodels.worldmodel import Request
+from kinebench_drake.suites.worldmodels.worldmodel import Request, request_video
 from tests.films import decoded
 
 
@@ -95,7 +97,7 @@ def test_options_are_decoded_once() -> None:
 
 class Model:
     def __init__(self, level: str = "1") -> None:
-        self.name = f"mine{level}"
+        self.name = f"mine{level}" if int(level) else None + level
 
     def generate(self, request: Request, out: Path) -> Path:
         return out
@@ -124,13 +126,56 @@ def test_a_plugin_class_is_created_with_its_options_or_refused() -> None:
     assert create("my_models:Model?level=9").name == "mine9"
     for text, message in {
         "my_models:Model?depth=9": "does not take these options",
+        "my_models:Model?level=0": r"its __init__ raised TypeError: .*\(test_factory.py, line \d+\)",
         "my_models:Nameless": "expected a class whose instances have a name",
-        "my_models:Path": r"expected a class with a method generate\(request, out\)",
-        "my_models:None_": "the module my_models has no None_",
-        "floder:x": r"there is no module 'floder'.*\(did you mean folder\?\)",
+        "my_models:Path": r"a class with a method generate\(request, out\).*; world models are named folder:DIR",
+        "my_models:None_": "the module my_models has no None_.*; world models are named folder:DIR",
+        "floder:x": r"there is no module 'floder'.*\(did you mean folder\?\); world models are named folder:DIR",
     }.items():
-        with pytest.raises(UsageError, match=rf"{message}.*; world models are named folder:DIR"):
+        with pytest.raises(UsageError, match=message):
             create(text)
+
+
+def test_a_plugin_class_may_be_named_by_its_file(tmp_path: Path) -> None:
+    file = tmp_path / "my-model.py"
+    file.write_text(
+        "class M:\n    name = 'mine'\n    def generate(self, request, out): ...\n    def close(self): ...\n"
+    )
+    assert create(f"{file}:M").name == "mine"
+
+
+def _raise() -> None:
+    raise ValueError("out of\nmemory")
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (lambda: None, "returned None, expected the path of the video"),
+        (lambda: np.zeros((5, 64, 96, 3)), r"returned a ndarray of shape \(5, 64, 96, 3\), expected the path"),
+        (lambda: "nowhere/x.mp4", "returned x.mp4, which does not exist, expected the path"),
+        (_raise, r"raised ValueError: out of; its traceback is in videos/a_r0_error\.txt"),
+    ],
+)
+def test_an_answer_that_is_no_video_says_what_generate_must_return(
+    tmp_path: Path, request_: Request, answer: Callable[[], object], message: str
+) -> None:
+    out = tmp_path / "videos" / "a_r0"
+    out.parent.mkdir()
+    model = SimpleNamespace(generate=lambda request, out: answer())
+    with pytest.raises(InputError, match=message):
+        request_video(model, request_, out)
+    for trace in out.parent.iterdir():
+        text = trace.read_text()
+        assert 'File "test_factory.py", line' in text
+        assert "raise ValueError" in text
+        assert str(Path(__file__).parent) not in text
+
+
+def test_frames_of_another_shape_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"a frame has shape \(3, 64, 96\) and type float64, expected \(H, W, 3\)"):
+        write_video(tmp_path / "x.mp4", np.zeros((2, 3, 64, 96)), 17)
+    assert not list(tmp_path.iterdir())
 
 
 def test_every_video_suffix_has_a_demuxer() -> None:
