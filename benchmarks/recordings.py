@@ -156,9 +156,9 @@ def store(storage: Storage, trajectory: Trajectory, others: Sequence[Trajectory]
         values = np.vstack([np.zeros((_ZERO_ROWS, values.shape[1])), values])
         t_s = period_s * np.arange(len(values))
     elif storage is Storage.FLOAT16:
-        values = np.asarray(values.astype(np.float16), dtype=np.float64)
+        values = values.astype(np.float16).astype(np.float64)
     elif storage is Storage.WRAPPED:
-        values = np.asarray((values + np.pi) % (2 * np.pi) - np.pi, dtype=np.float64)
+        values = (values + np.pi) % (2 * np.pi) - np.pi
     elif storage is Storage.ALPHABETICAL:  # panda_finger_joint1, panda_finger_joint2, panda_joint1, ...
         values = np.hstack([np.repeat(0.5 * values[:, 7:], 2, axis=1), values[:, :7]])
         names = [f"position_{k}" for k in range(9)]
