@@ -151,10 +151,10 @@ def store(storage: Storage, trajectory: Trajectory, others: Sequence[Trajectory]
     times = ["t_s"]
     if storage is Storage.HELD:
         values = np.repeat(values, _HOLD, axis=0)
-        t_s = period_s / _HOLD * np.arange(len(values))
+        t_s = np.asarray(period_s / _HOLD * np.arange(len(values)), dtype=np.float64)
     elif storage is Storage.ZEROS:
         values = np.vstack([np.zeros((_ZERO_ROWS, values.shape[1])), values])
-        t_s = period_s * np.arange(len(values))
+        t_s = np.asarray(period_s * np.arange(len(values)), dtype=np.float64)
     elif storage is Storage.FLOAT16:
         values = values.astype(np.float16).astype(np.float64)
     elif storage is Storage.WRAPPED:
