@@ -12,11 +12,14 @@ from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding import bounds
+from kinebench_drake.grounding.anomaly.absence import Absence, AbsenceFinder
 from kinebench_drake.grounding.anomaly.appearance import HandSize
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, FeatureTracks, measure_camera_motion
 from kinebench_drake.grounding.anomaly.detect import NOT_LOOKED_FOR, AnomalyEvidence, find_anomalies, gather_evidence
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
 from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
+from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.tracking.camera_path import CameraPath, follow_camera
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
@@ -111,15 +114,18 @@ class GroundingPipeline:
         confidence: Mapping[Domain, Confidence],
         gripper: GripperKind = GripperKind.FRANKA,
         arm_tracker: PoseTracker | None = None,
+        absences: AbsenceFinder | None = None,
     ) -> None:
         """Compose the pipeline of a tracker that looks for `gripper` and the calibrated `confidence` of its poses.
 
-        The motion of a camera is checked by the faster `arm_tracker`; None for the same.
+        The motion of a camera is checked by the faster `arm_tracker`; None for the same. Without `absences` no hand is
+        known to be gone.
         """
         self.tracker = tracker
         self._arm_tracker = arm_tracker or tracker
         self._confidence = confidence
         self._gripper = gripper
+        self._absences = absences
 
     @classmethod
     def create(
@@ -142,7 +148,7 @@ class GroundingPipeline:
         confidence = load_confidence(calibration or CALIBRATION)
         tracker = CadTracker(estimator, confidence=confidence) if franka else FlangeTracker(estimator, gripper)
         by_arm = FlangeTracker(estimator) if gripper is GripperKind.ROBOTIQ_2F85 else None
-        return cls(tracker, confidence, gripper, by_arm)
+        return cls(tracker, confidence, gripper, by_arm, AbsenceFinder(ArmModel(), EdgeMatcher()))
 
     def ground(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> PipelineResult:
         """Estimate the gripper track of a video.
@@ -224,18 +230,30 @@ class GroundingPipeline:
         stabilized = not priors.replaces_stage
         tracks = FeatureTracks(frames)
         motion = self._follow(frames, tracks, camera, priors) if stabilized else None
+        steady = frames, camera
         if motion is not None:
-            tracking = self.tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
+            steady = motion.stabilize(frames, camera)
+            tracking = self.tracker.track(*steady, priors, motion.places)
         else:
             tracking = self.tracker.track(frames, camera, priors)
             motion = self._measure_motion(frames, tracks, tracking.robot, camera, priors)
             if stabilized and (motion.moves or motion.path is not None):
-                tracking = self.tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
+                steady = motion.stabilize(frames, camera)
+                tracking = self.tracker.track(*steady, priors, motion.places)
         resolved = tracking.poses if tracking.domain is Domain.ARM else resolve_flips(tracking.poses)
         X_AC = motion.X_AS if stabilized else motion.X_AC
         poses = [p and replace(p, X_CH=X @ p.X_CH) for p, X in zip(resolved, X_AC, strict=True)]
         confidence = np.array([frame_confidence(p, tracking.domain, self._confidence) for p in poses])
-        evidence = gather_evidence(frames, camera, t_s, tracking.wide, poses, confidence, motion, tracking.domain)
+        places = motion.places if stabilized else None
+
+        def explain(present: NDArray[np.bool_]) -> tuple[Absence | None, ...]:
+            if self._absences is None:
+                return (None,) * len(frames)
+            return self._absences.explain(*steady, places, tracking.wide, resolved, present)
+
+        evidence = gather_evidence(
+            frames, camera, t_s, tracking.wide, poses, confidence, motion, tracking.domain, explain
+        )
         return replace(tracking, poses=tuple(poses)), evidence
 
     def _follow(self, frames: Frames, tracks: FeatureTracks, camera: Camera, priors: Priors) -> CameraMotion | None:

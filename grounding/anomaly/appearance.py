@@ -15,11 +15,11 @@ from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.anomaly.detection import Detection, finite_median, sustained
 from kinebench_drake.grounding.registration.hand_contour import HandShape
 from kinebench_drake.grounding.registration.solver import NEAREST_M
-from kinebench_drake.grounding.tracking.view import GRIPPER_RADIUS_M, GripperView
+from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.cad import MAX_FINGER_M, part_meshes
 from kinebench_drake.models.panda.description import OPENING_SIGN
-from kinebench_drake.segments import finite_rows, segments
+from kinebench_drake.segments import segments
 
 # Set on planted faults in home renders of seen assets, and checked on clean ones:
 # `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks evaluate faulty`.
@@ -27,8 +27,6 @@ _PRESENCE_FRAMES = 3
 """Fewest frames of a vanished or of a second gripper: fewer may be an occlusion."""
 _ABSENT_CONFIDENCE = 0.01
 """Confidence of the pose below which a gripper is absent."""
-_HIDDEN_SHARE = 0.4
-"""Share of a gripper's core behind links of the arm from which on it may be hidden altogether."""
 _DUPLICATE_SHARE = 0.2
 """Least share of a second gripper's cells."""
 _SIZE_FRAMES = 20
@@ -55,8 +53,6 @@ _CONTOUR_WINDOW = 9
 """Frames of the running median of the contour's change."""
 _WRONG_SIZE_SHARE = 0.5
 """Share of the frames with a hand of the wrong size above which the hand is not deformed."""
-_CORE_M = GRIPPER_RADIUS_M / 2
-"""Radius around the centre of a gripper within which it is hardly cut or hidden [m]."""
 _MARGIN_CELLS = 2
 """Cells of the whole-image view around the tracked gripper that belong to it."""
 _MIN_CELLS = 100
@@ -82,60 +78,6 @@ def find_vanishing(confidence: Array, explained: Array, expected: NDArray[np.boo
         for r in segments(score > 1.0)
     )
     return Detection(kind=AnomalyKind.VANISH, score=score, anomalies=anomalies)
-
-
-def expect_gripper(
-    p_C: Array, present: NDArray[np.bool_], camera: Camera, wide: Sequence[GripperView], X_SC: Array
-) -> NDArray[np.bool_]:
-    """Return (T,) frames in which the gripper should be seen: where it is, and where it would be at constant velocity.
-
-    It should not where it would leave the image, nor after links of the arm hid it where it was last or a frame later,
-    nor before it first appears.
-
-    Args:
-        p_C: (T, 3) centre of the gripper in the camera frame [m]; NaN where unknown.
-        present: (T,) frames that show the gripper there.
-        camera: camera of the frames.
-        wide: (T,) views of whole images.
-        X_SC: (T, 4, 4) camera frame in that of each image, which a moving camera shifts.
-    """
-    present = present & finite_rows(p_C)
-    expected = present.copy()
-    last = -1
-    hidden = True
-    for i in np.flatnonzero(~present).tolist():
-        starts = i > 0 and present[i - 1]
-        if hidden and not starts:
-            continue
-        last = i - 1 if starts else last
-        step = p_C[last] - p_C[last - 1] if last and present[last - 1] else np.zeros(3)
-        p_S = transform_points(X_SC[i], (p_C[last] + step)[None])[0]
-        if starts:
-            # Later its arm may be where the gripper was: that hides nothing.
-            before = transform_points(X_SC[last], p_C[last, None])[0]
-            places = (before, wide[last]), (p_S, wide[i])
-            hidden = any(_hidden_share(place, view) >= _HIDDEN_SHARE for place, view in places)
-        expected[i] = not hidden and _inside(p_S, camera)
-    return expected
-
-
-def _inside(p_S: Array, camera: Camera) -> bool:
-    """Return whether the core of a gripper around `p_S` (3,) [m] is inside the image."""
-    if p_S[2] <= NEAREST_M:
-        return False
-    pixel = camera.project(p_S)
-    radius_px = np.array([camera.fx, camera.fy]) * _CORE_M / p_S[2]
-    return bool((pixel >= radius_px).all() and (pixel <= np.array([camera.width, camera.height]) - radius_px).all())
-
-
-def _hidden_share(p_S: Array, view: GripperView) -> float:
-    """Return the share of the core of a gripper around `p_S` (3,) [m] behind links of the arm; 0 outside the view."""
-    rays_V = view.rays()
-    p_V = view.crop.R_CV.T @ p_S
-    cosine = rays_V @ p_V / np.linalg.norm(rays_V, axis=-1) / np.linalg.norm(p_V)
-    core = cosine >= np.cos(np.arctan2(_CORE_M, p_V[2]))
-    hidden = view.arm[core] & (view.depth_m[core] < p_V[2])
-    return float(hidden.mean()) if len(hidden) else 0.0
 
 
 def second_gripper(view: GripperView, X_CH: Array | None, camera: Camera) -> float:

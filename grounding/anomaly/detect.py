@@ -1,6 +1,6 @@
 """All anomaly detectors applied to the measurements of a video."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 
@@ -12,9 +12,9 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding import bounds
+from kinebench_drake.grounding.anomaly.absence import Absence
 from kinebench_drake.grounding.anomaly.appearance import (
     HandSize,
-    expect_gripper,
     find_deformations,
     find_duplicates,
     find_misshapen,
@@ -30,6 +30,7 @@ from kinebench_drake.grounding.registration.hand_contour import HandShape
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H, GripperView
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.segments import finite_rows
 from kinebench_drake.track import Domain
 
 # Set on planted faults in home renders of seen assets, and checked on clean ones:
@@ -85,8 +86,8 @@ class AnomalyEvidence:
     """(T, 3) centre of the gripper in the camera frame [m]."""
     confidence: Array
     """(T,) confidence 0..1, 0 without a detection."""
-    expected: NDArray[np.bool_]
-    """(T,) frames in which the gripper should be seen (`expect_gripper`)."""
+    absences: tuple[Absence | None, ...]
+    """(T,) why the gripper was not found; None where it was."""
     explained: Array
     """(T,) cells of the crop explained by the posed gripper, or as many as the edges confirm; 0 without a detection,
     infinite where edges confirm the hand."""
@@ -119,6 +120,11 @@ class AnomalyEvidence:
                 raise InputError(f"{field.name} is of {len(value)} frames, t_s of {len(self.t_s)}; they must be equal")
 
     @property
+    def expected(self) -> NDArray[np.bool_]:
+        """(T,) frames in which the gripper is seen, or should be."""
+        return np.array([absence in (None, Absence.GONE) for absence in self.absences])
+
+    @property
     def size(self) -> HandSize | None:
         """Size of the hand; None if too few frames show it."""
         return measure_size(self.scale)
@@ -143,11 +149,13 @@ def gather_evidence(
     confidence: Array,
     motion: CameraMotion,
     domain: Domain,
+    explain: Callable[[NDArray[np.bool_]], tuple[Absence | None, ...]],
 ) -> AnomalyEvidence:
     """Compute the input of the detectors for the frames (T, H, W, 3) of a video.
 
     Poses (T,), with flips resolved, are in the `camera` of the first frame; their confidence (T,) is 0 where there is
-    none, and `wide` (T,) are views of whole images.
+    none, and `wide` (T,) are views of whole images. `explain` tells why it is not found in frames without it, from
+    those (T,) with it.
     """
     n = len(frames)
     familiar = domain is Domain.FAMILIAR
@@ -186,7 +194,7 @@ def gather_evidence(
         t_s=t_s,
         p_C=p_C,
         confidence=confidence,
-        expected=expect_gripper(p_C, present, camera, wide, X_SA),
+        absences=explain(present & finite_rows(p_C)),
         explained=explained,
         finger_width_m=width,
         other=np.array(other),
