@@ -81,6 +81,8 @@ class PipelineResult:
     curves: Mapping[str, Array] = field(default_factory=dict)
     """Curves (T,) of the track file: share of matched points, their distance [m] and weight of ICP; NaN without it."""
 
+    absences: tuple[Absence | None, ...] = ()
+    """(T,) why the gripper was not found; None where it was."""
     hand_size: HandSize | None = None
     """Size of the hand by the arm behind it; None if it is not measured."""
 
@@ -198,6 +200,7 @@ class GroundingPipeline:
             from_prior=raw.from_prior,
             first_frame=InitialStateUse.of(initial_state, priors.initial_state),
             detections=detections,
+            absences=evidence.absences,
             hand_size=evidence.size,
             camera_path=motion.path,
             camera_motion_px=None if motion.is_unknown else motion.largest_px,

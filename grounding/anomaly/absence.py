@@ -8,6 +8,7 @@ gone.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from kinebench_drake.grounding.registration.solver import NEAREST_M, Corresponde
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import CLOSE_MARGIN, Crop, GripperView
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.segments import segments
 
@@ -56,6 +58,20 @@ class Absence(Enum):
     SMALL = "too small"
     UNSURE = "not recognized"
     GONE = "absent"
+    DOUBTFUL = "found, but not trusted"
+
+
+def list_lost(tracked: NDArray[np.bool_], absences: Sequence[Absence | None]) -> list[Json]:
+    """Return the stretches of frames that are not `tracked` (T,), each with its first and last frame and the reason."""
+    reasons = [None if ok else absence or Absence.DOUBTFUL for ok, absence in zip(tracked, absences, strict=True)]
+    spans: list[Json] = []
+    first = 0
+    for reason, own in groupby(reasons):
+        last = first + len(list(own)) - 1
+        if reason is not None:
+            spans.append({"frame_start": first, "frame_end": last, "reason": reason.value})
+        first = last + 1
+    return spans
 
 
 @dataclass(frozen=True, slots=True)

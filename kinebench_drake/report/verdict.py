@@ -105,7 +105,11 @@ def _describe_reason(row: SampleRow, reason: str) -> str:
     if kind == UNDECIDED:
         return row.null_reasons.get("feasible", "no reason stored")
     if kind == LOST:
-        return f"no pose in {detail}"
+        spans = [
+            f"{format_frames(int(str(e['frame_start'])), int(str(e['frame_end'])))} {e['reason']}"
+            for e in row.lost_frames or ()
+        ]
+        return f"no pose in {detail}" + (f" ({', '.join(spans[:_MOST_SPANS])})" if spans else "")
     if kind == UNCHECKED:
         return f"limits of {detail} are not checked"
     if kind == OPEN:

@@ -270,6 +270,8 @@ class SampleRow:
     """Greatest score of each kind of anomaly, 1 at its bound."""
     anomalies_open: tuple[str, ...] | None = None
     """Kinds of anomaly of which it is open whether they occur."""
+    lost_frames: tuple[Mapping[str, Json], ...] | None = None
+    """Frames of a video without a pose, `frame_start` to `frame_end`, with the `reason`."""
     anomalies_not_looked_for: tuple[str, ...] | None = None
     """Kinds of anomaly that the look of the video excludes."""
 

@@ -5,6 +5,7 @@ import pytest
 
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import InputError
+from kinebench_drake.grounding.anomaly.absence import Absence
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion
 from kinebench_drake.grounding.anomaly.detect import AnomalyEvidence, find_anomalies
 from kinebench_drake.track import Domain
@@ -18,7 +19,7 @@ def clean(reach, t_s):
         t_s=t_s,
         p_C=reach(),
         confidence=np.full(n, 0.8),
-        expected=np.ones(n, dtype=bool),
+        absences=(None,) * n,
         explained=np.full(n, 400.0),
         finger_width_m=0.04 + rng.normal(0, 0.003, n),
         other=np.zeros(n),
@@ -78,7 +79,7 @@ def test_a_video_without_any_measurement_has_no_anomaly(clean):
     n = len(clean.t_s)
     unknown = np.full(n, np.nan)
     blind = replace(
-        clean, p_C=np.full((n, 3), np.nan), confidence=np.zeros(n), expected=np.zeros(n, dtype=bool),
+        clean, p_C=np.full((n, 3), np.nan), confidence=np.zeros(n), absences=(Absence.UNSURE,) * n,
         finger_width_m=unknown, other=unknown, misfit=unknown, residual=unknown, scale=unknown,
         motion=replace(clean.motion, px=unknown),
     )  # fmt: skip
