@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, invert, pose_difference
-from kinebench_drake.grounding import bounds
+from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.image import GradientImage, GradientImages
-from kinebench_drake.grounding.registration.solver import NEAREST_M, Correspondences
+from kinebench_drake.grounding.registration.solver import NEAREST_M
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import CLOSE_MARGIN, Crop, GripperView
 from kinebench_drake.io.frames import Frames
@@ -32,6 +31,11 @@ LEAST_PX = 600.0
 """Visible pixels of a hand from which on at least 95 % are found, in an image 384 px wide.
 
 In 34 clean clips of two other simulators 99 % of the hands of 600 px and more are found, whatever their angle."""
+_LOCATED = 0.45
+"""Least share of the contours of the last links, and of the last one, on image edges of an arm that says where its hand
+is.
+
+Where a hand was taken away from clips of robosuite it is 0.48 and more, where a door hides it 0.37."""
 _IN_PICTURE = 0.9
 """Least share of the hand inside the picture."""
 _OUTSIDE = 0.3
@@ -40,10 +44,6 @@ _UNHIDDEN = 0.6
 """Least share of the hand in the picture that the arm does not hide."""
 _LIKE_A_HAND = 0.35
 """Share of the hand's contours on image edges, and of its cells in the mask, from which on a hand may be there."""
-_TURN_SIGMA_RAD = 0.2
-"""Standard deviation of the last joint, which links do not show, along the path [rad]."""
-_FITTED_M = 0.05
-"""Largest change of the hand's place by a fit to the links [m]."""
 _RENDERED_PX = 64
 """Width of the crop in which hand and arm are rendered [px]."""
 _GRIPPER = (RobotPart.HAND, RobotPart.LEFT_FINGER, RobotPart.RIGHT_FINGER)
@@ -111,29 +111,35 @@ class AbsenceFinder:
             path = [(run.start - 1 - k, arm.q) for k, arm in enumerate(before)][::-1]
             for i in range(run.start, run.stop):
                 q = _interpolate(path[-1], (run.stop, after[0].q), i) if after else _extrapolate(path, i)
-                arm, agreement = self._locate(fitter.at([i]), before[0], q, wide[i], images[i])
+                last, q_last = path[-1]
+                near = (replace(before[0], q=q_last), images[last]) if last == i - 1 else None
+                arm, agreement = self._locate(fitter.at([i]), replace(before[0], q=q), images[i], near)
                 reason = self._judge(fitter.at([i]).closed(arm), camera, wide[i], images[i])
-                is_sure = agreement >= bounds.EDGE_AGREEMENT
+                is_sure = agreement >= _LOCATED
                 reasons[i] = Absence.UNSURE if reason is Absence.GONE and not is_sure else reason
                 if is_sure:
                     path.append((i, arm.q))
         return tuple(reasons)
 
     def _locate(
-        self, fitter: ArmFitter, near: ArmFit, q: Array, wide: GripperView, image: GradientImage
+        self, fitter: ArmFitter, guess: ArmFit, image: GradientImage, near: tuple[ArmFit, GradientImage] | None
     ) -> tuple[ArmFit, float]:
-        """Return the arm at a posture (7,) [rad], or fitted to its links from there, and the agreement with edges."""
-        guess = replace(near, q=q, X_CH=fitter.hand(q))
-        arms = [guess]
-        links = Correspondences.of_view(wide, wide.arm)
-        fitted = fitter.fit_links(guess.X_CH, _TURN_SIGMA_RAD, links, image)
-        if fitted is not None and pose_difference(fitted.X_CH, guess.X_CH)[0] <= _FITTED_M:
-            arms.append(fitted)
-        agreements = [self.edges.agreement(image, fitter.closed(arm), LAST_LINKS) for arm in arms]
-        best = int(np.argmax(agreements))
-        # what hides the hand, but is no part of the arm, hides its last link as well
-        last = self.edges.agreement(image, fitter.closed(arms[best]), (RobotPart.LINK7,))
-        return arms[best], min(agreements[best], last)
+        """Return the arm that agrees most with the edges of an image, and its agreement.
+
+        It is that of a guess, or fitted to the links from there, or from where the arm of the frame before went.
+        """
+        postures = [guess.q, fitter.refine_links(guess.q, image)]
+        if near is not None:
+            arm, before = near
+            followed = fitter.follow(arm, fitter.closed(arm), before, image)
+            if followed is not None:
+                points = followed.points.take(followed.points.part >= RobotPart.LINK0)
+                postures += [followed.q, fitter.refine_links(followed.q, image, points)]
+        arms = [replace(guess, q=q) for q in postures if q is not None]
+        parts = LAST_LINKS, (RobotPart.LINK7,)  # what hides the hand, but is no part of the arm, hides the last link
+        worse = [min(self.edges.agreements(image, fitter.closed(arm), parts)) for arm in arms]
+        best = int(np.argmax(worse))
+        return arms[best], worse[best]
 
     def _judge(self, X_CP: Array, camera: Camera, wide: GripperView, image: GradientImage) -> Absence:
         """Return why a hand at the end of its arm, at `X_CP` (PARTS, 4, 4) [m], is not found."""

@@ -419,6 +419,23 @@ class ArmFitter:
         arm = solution.model
         return FollowedArm(q=arm.q[0], X_CH=arm.hand()[0][0], points=points) if solution.valid[0] else None
 
+    def refine_links(self, q: Array, image: GradientImage, followed: Correspondences | None = None) -> Array | None:
+        """Return a posture (7,) [rad] fitted to the edges of the links; None where too few are near.
+
+        Points of the surface that led to the posture, `followed`, count as well.
+        """
+        arm = self._links_at(q[None])
+        for reach_px in FOLLOWED_REACHES_PX:
+            edges = self._edges.match(image, self._poses(arm)[0], reach_px, ARM, _POINTS)
+            if edges is None:
+                return None
+            rows = edges if followed is None else Correspondences.join([followed, edges])
+            solution = solve(arm, Correspondences.stack([rows]), np.array([LINKS_DEPTH_SIGMA]))
+            if not solution.valid[0]:
+                return None
+            arm = solution.model
+        return np.asarray(arm.q[0])
+
     def fit_links(
         self, X_CH: Array, turn_sigma_rad: float, links: Correspondences, image: GradientImage
     ) -> ArmFit | None:
