@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
-from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFit, ArmFitter
+from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFit, ArmFitter, FollowedArm
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.image import GradientImage, GradientImages
@@ -112,8 +112,12 @@ class AbsenceFinder:
             for i in range(run.start, run.stop):
                 q = _interpolate(path[-1], (run.stop, after[0].q), i) if after else _extrapolate(path, i)
                 last, q_last = path[-1]
-                near = (replace(before[0], q=q_last), images[last]) if last == i - 1 else None
-                arm, agreement = self._locate(fitter.at([i]), replace(before[0], q=q), images[i], near)
+                arm_last = replace(before[0], q=q_last)
+                X_CP_last = fitter.at([last]).closed(arm_last)
+                followed = (
+                    fitter.at([i]).follow(arm_last, X_CP_last, images[last], images[i]) if last == i - 1 else None
+                )
+                arm, agreement = self._locate(fitter.at([i]), replace(before[0], q=q), images[i], followed)
                 reason = self._judge(fitter.at([i]).closed(arm), camera, wide[i], images[i])
                 is_sure = agreement >= _LOCATED
                 reasons[i] = Absence.UNSURE if reason is Absence.GONE and not is_sure else reason
@@ -122,19 +126,16 @@ class AbsenceFinder:
         return tuple(reasons)
 
     def _locate(
-        self, fitter: ArmFitter, guess: ArmFit, image: GradientImage, near: tuple[ArmFit, GradientImage] | None
+        self, fitter: ArmFitter, guess: ArmFit, image: GradientImage, followed: FollowedArm | None
     ) -> tuple[ArmFit, float]:
         """Return the arm that agrees most with the edges of an image, and its agreement.
 
-        It is that of a guess, or fitted to the links from there, or from where the arm of the frame before went.
+        It is that of a guess, or of where the surface of the frame before went, or fitted to the links from there.
         """
         postures = [guess.q, fitter.refine_links(guess.q, image)]
-        if near is not None:
-            arm, before = near
-            followed = fitter.follow(arm, fitter.closed(arm), before, image)
-            if followed is not None:
-                points = followed.points.take(followed.points.part >= RobotPart.LINK0)
-                postures += [followed.q, fitter.refine_links(followed.q, image, points)]
+        if followed is not None:
+            points = followed.points.take(followed.points.part >= RobotPart.LINK0)
+            postures += [followed.q, fitter.refine_links(followed.q, image, points)]
         arms = [replace(guess, q=q) for q in postures if q is not None]
         parts = LAST_LINKS, (RobotPart.LINK7,)  # what hides the hand, but is no part of the arm, hides the last link
         worse = [min(self.edges.agreements(image, fitter.closed(arm), parts)) for arm in arms]
