@@ -1,0 +1,210 @@
+"""Motions, cameras and files of the clips that other simulators render.
+
+Scripts import it in environments of their own, so it needs no more than numpy and av.
+"""
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+SHAPES = ((384, 384), (640, 480), (512, 320), (480, 480), (256, 256))
+"""Width and height of the clips in turn [px]."""
+HAND_TO_TCP_M = 0.1034
+PERIOD_S = 0.2
+"""Time between two frames [s]."""
+FINGER_M = 0.04
+_WORKSPACE = np.array([[0.32, 0.62], [-0.3, 0.3], [0.06, 0.4]])
+"""Box of the TCP's positions in the base frame [m]."""
+_LEAST_PX = 300
+"""Pixels of the gripper from which it is visible, in an image of 384 px."""
+_LEAST_SHARE = 0.8
+"""Least share of the frames in which it is visible."""
+
+
+class SceneArm(Protocol):
+    """The Panda in a scene of a simulator."""
+
+    limits: NDArray[Any]
+    """Least and greatest angles (7, 2) of the joints [rad]."""
+
+    @property
+    def X_BH(self) -> NDArray[Any]:
+        """Pose (4, 4) of panda_hand in the base frame [m]."""
+        ...
+
+    def set(self, q: NDArray[Any], width_m: float) -> None:
+        """Pose the arm (7,) [rad] and the fingers, `width_m` apart."""
+        ...
+
+    def offset(self, X_BH: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the shift (3,) [m] and the rotation vector (3,) [rad] from the hand to a pose, in the world."""
+        ...
+
+    def jacobian(self) -> NDArray[Any]:
+        """Return the Jacobian (6, 7) of the hand's position and rotation, in the world."""
+        ...
+
+    def render(self, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any]) -> Iterator[tuple[NDArray[Any], int]]:
+        """Yield images (H, W, 3) and the pixels of hand and fingers; the arm stays posed as the image shows."""
+        ...
+
+
+def solve(arm: SceneArm, X_BH: NDArray[Any], q: NDArray[Any]) -> NDArray[Any] | None:
+    """Return the posture (7,) that reaches a pose of the hand, from `q` on; None if none is found."""
+    for _ in range(200):
+        arm.set(q, FINGER_M)
+        off, turn = arm.offset(X_BH)
+        if np.linalg.norm(off) < 1e-3 and np.linalg.norm(turn) < 1e-2:
+            return q
+        J = arm.jacobian()
+        step = J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(6), np.concatenate([off, turn]))
+        q = np.clip(q + np.clip(step, -0.2, 0.2), arm.limits[:, 0] + 0.05, arm.limits[:, 1] - 0.05)
+    return None
+
+
+def motion(
+    arm: SceneArm, frames: int, rng: np.random.Generator, *, lift_m: float = 0.0
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return postures (T, 7) [rad] and finger gaps (T,) [m] of a smooth motion through random poses of the hand.
+
+    The workspace is lifted by `lift_m`.
+    """
+    q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
+    targets = list[NDArray[Any]]()
+    stops = max(2, round(frames / 16) + 1)
+    while len(targets) < stops:
+        tilt = rng.normal(0.0, 0.3, 2)
+        turn = rng.uniform(-1.2, 1.2)
+        X = np.eye(4)
+        X[:3, :3] = _turn(2, turn) @ _turn(0, np.pi + tilt[0]) @ _turn(1, tilt[1])
+        X[:3, 3] = rng.uniform(*_WORKSPACE.T) - HAND_TO_TCP_M * X[:3, 2]
+        X[2, 3] += lift_m
+        reached = solve(arm, X, q)
+        if reached is not None and (not targets or np.abs(reached - targets[-1]).max() < 0.5 * np.pi):
+            targets.append(reached)
+            q = reached
+    s = np.linspace(0.0, stops - 1, frames)
+    first = np.minimum(s.astype(int), stops - 2)
+    u = s - first
+    u = u**3 * (10 - 15 * u + 6 * u**2)  # minimum jerk (Flash and Hogan 1985)
+    postures = np.array(targets)
+    gap = rng.uniform(0.0, 2 * FINGER_M, stops)
+    blend = (1 - u)[:, None], u[:, None]
+    return (
+        blend[0] * postures[first] + blend[1] * postures[first + 1],
+        blend[0][:, 0] * gap[first] + blend[1][:, 0] * gap[first + 1],
+    )
+
+
+def _turn(axis: int, angle: float) -> NDArray[Any]:
+    R = np.eye(3)
+    i = (axis + 1) % 3
+    j = (axis + 2) % 3
+    R[i, i] = R[j, j] = np.cos(angle)
+    R[i, j] = -np.sin(angle)
+    R[j, i] = np.sin(angle)
+    return R
+
+
+def random_camera(width: int, height: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Return a camera.json object: in front of or beside the robot, upright, looking at its workspace."""
+    fov = np.deg2rad(rng.uniform(36.0, 65.0))
+    focal = height / 2 / np.tan(fov / 2)
+    azimuth = rng.uniform(-1.7, 1.7)
+    elevation = rng.uniform(0.1, 1.05)
+    target = np.array([0.3, 0.0, 0.25]) + rng.normal(0.0, 0.08, 3)
+    distance = rng.uniform(0.75, 1.15) / np.tan(fov / 2) * 0.55
+    away = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
+    return camera_json(width, height, focal, look_at(target + distance * away, target))
+
+
+def look_at(eye: NDArray[Any], target: NDArray[Any]) -> NDArray[Any]:
+    """Return the pose (4, 4) of an upright camera at `eye` that looks at `target`; OpenCV axes."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    X = np.eye(4)
+    X[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
+    X[:3, 3] = eye
+    return X
+
+
+def camera_json(width: int, height: int, focal: float, X_BC: NDArray[Any]) -> dict[str, Any]:
+    """Return the object of camera.json of a centred camera."""
+    return {
+        "width": width, "height": height, "fx": focal, "fy": focal, "cx": width / 2, "cy": height / 2,
+        "base_from_camera": X_BC.tolist(),
+    }  # fmt: skip
+
+
+def is_visible(arm: SceneArm, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any]) -> bool:
+    """Return whether a camera shows the gripper in most of some frames."""
+    some = np.linspace(0, len(q) - 1, 5).round().astype(int)
+    least = _LEAST_PX * min(camera["width"], camera["height"]) ** 2 / 384**2
+    return bool(np.mean([n >= least for _, n in arm.render(camera, q[some], gap[some])]) >= _LEAST_SHARE)
+
+
+def write_video(path: Path, frames: Sequence[NDArray[Any]]) -> None:
+    """Write images (H, W, 3) as H.264."""
+    with av.open(str(path), "w") as file:
+        stream = file.add_stream("libx264", rate=17, options={"crf": "20"})
+        stream.height, stream.width, _ = frames[0].shape
+        stream.pix_fmt = "yuv420p"
+        for image in frames:
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        file.mux(stream.encode())
+
+
+def write_clip(
+    folder: Path, name: str, arm: SceneArm, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any]
+) -> None:
+    """Render a clip and write it with its truth and its line of the manifest."""
+    frames = []
+    visible = []
+    X_BH = []
+    for image, count in arm.render(camera, q, gap):
+        frames.append(image)
+        visible.append(count)
+        X_BH.append(arm.X_BH)
+    write_video(folder / f"{name}.mp4", frames)
+    tcp = np.eye(4)
+    tcp[2, 3] = HAND_TO_TCP_M
+    poses = np.array(X_BH)
+    np.savez_compressed(
+        folder / f"{name}.gt.npz",
+        base_from_hand=poses, base_from_tcp=poses @ tcp, q=q, finger_width_m=gap, visible=np.array(visible),
+    )  # fmt: skip
+    with (folder / "manifest.jsonl").open("a") as manifest:
+        manifest.write(json.dumps({"video": f"{name}.mp4", "frame_period_s": PERIOD_S, "camera": camera}) + "\n")
+
+
+def clip_parser(title: str, prefix: str) -> argparse.ArgumentParser:
+    """Return the parser of the options that all scripts have."""
+    parser = argparse.ArgumentParser(description=title)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--count", type=int, default=14)
+    parser.add_argument("--seed", type=int, default=100)
+    parser.add_argument("--frames", type=int, default=49)
+    parser.add_argument("--prefix", default=prefix)
+    parser.add_argument("--size", help="WxH of all clips; default: five shapes in turn")
+    return parser
+
+
+def missing_clips(options: argparse.Namespace) -> Iterator[tuple[int, str, tuple[int, int], np.random.Generator]]:
+    """Yield number, name, width and height [px] and generator of each clip that the output folder lacks."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    for number in range(options.count):
+        name = f"{options.prefix}{number:02d}"
+        if (options.out / f"{name}.gt.npz").exists():
+            continue
+        width, height = (
+            tuple(map(int, options.size.split("x"))) if options.size else SHAPES[(number // 2) % len(SHAPES)]
+        )
+        yield number, name, (width, height), np.random.default_rng([options.seed, number])
+        print(name, flush=True)
