@@ -228,11 +228,10 @@ def _score(config: ScoreConfig, *, dry_run: bool) -> int:
     rows = []
     for sample, row in plan_videos(config, ProgressView("samples")):
         rows.append(row)
+        picture = []
         if sample.first_frame is not None:
             picture = [f"given picture: {sample.first_frame.name}"]
-        elif sample.camera_source.is_named:
-            picture = []
-        else:
+        elif row.status is Status.OK and not sample.camera_source.is_named:
             picture = [f"no {row.id}.png: minutes if resized or cropped"]
         size = f"{row.frames} frames of {row.width} x {row.height} px" if row.status is Status.OK else str(row.reason)
         labels = [f"{key} {value}" for key, value in (("task", row.task), ("model", row.model)) if value is not None]
