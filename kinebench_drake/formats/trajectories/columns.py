@@ -96,7 +96,7 @@ def is_documented(table: ColumnTable, reading: Reading) -> bool:
     """Return True if all names of a complete reading are those that docs/formats.md defines, with units and frames."""
     columns = reading.columns or ()
     return (
-        reading.time in (None, "t_s")
+        (reading.time in (None, "t_s") or nanoseconds_beside(table, str(reading.time)) is not None)
         and all(_CONTRACT.fullmatch(name) for name in columns)
         and table.size(columns) in (N_JOINTS, 16)
     )
