@@ -4,6 +4,7 @@ It runs in an environment of its own, as the other simulators do:
 
     python -m venv env && env/bin/pip install pybullet==3.2.7 av
     env/bin/python benchmarks/bullet_clips.py OUT --count 14 --seed 100
+    env/bin/python benchmarks/bullet_clips.py FAULTS --count 6 --faults vanish,teleport,freeze
 
 Writes OUT/NAME.mp4, OUT/NAME.gt.npz and OUT/manifest.jsonl, in the layout of `python -m benchmarks footage`. Robot,
 objects and textures are those of pybullet_data. The frames of its Panda equal Franka's within 0.2 um and 1e-6 rad.
@@ -21,11 +22,21 @@ from numpy.typing import NDArray
 
 sys.path.append(str(Path(__file__).parent.parent))  # a script of a checkout, which its environment has not installed
 
-from benchmarks.clip_scenes import clip_parser, is_visible, missing_clips, motion, random_camera, write_clip
+from benchmarks.clip_scenes import (
+    NO_FAULT,
+    clip_parser,
+    is_visible,
+    missing_clips,
+    motion,
+    plant,
+    random_camera,
+    write_clip,
+)
 
 _HAND = 8
 """Number of panda_hand among the links of panda.urdf."""
 _FINGERS = (9, 10)
+_FAULTS = ("vanish", "teleport", "freeze")
 _LIMITS = np.array(
     [
         [-2.8973, 2.8973], [-1.7628, 1.7628], [-2.8973, 2.8973], [-3.0718, -0.0698],
@@ -120,8 +131,12 @@ class BulletArm:
                     return False
         return True
 
-    def render(self, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any]) -> Iterator[tuple[NDArray[Any], int]]:
+    def render(
+        self, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any], fault: str = NO_FAULT
+    ) -> Iterator[tuple[NDArray[Any], int]]:
         """Yield images (H, W, 3) and the pixels of hand and fingers; the arm stays posed as the image shows."""
+        for link in (_HAND, *_FINGERS):
+            pybullet.changeVisualShape(self._robot, link, rgbaColor=[1.0, 1.0, 1.0, float(fault != "vanish")])
         shape = camera["height"], camera["width"]
         X_CB = np.linalg.inv(np.array(camera["base_from_camera"]))
         view = np.diag([1.0, -1.0, -1.0, 1.0]) @ X_CB  # to OpenGL axes
@@ -220,16 +235,19 @@ def _light(rng: np.random.Generator) -> dict[str, Any]:
 
 def main() -> None:
     """Render clips from anywhere."""
-    options = clip_parser(__doc__.splitlines()[0], prefix="b").parse_args()
+    options = clip_parser(__doc__.splitlines()[0], prefix="b", faults=_FAULTS).parse_args()
     pybullet.connect(pybullet.DIRECT)
     pybullet.setAdditionalSearchPath(pybullet_data.getDataPath())
-    for _, name, (width, height), rng in missing_clips(options):
+    for _, name, (width, height), fault, rng in missing_clips(options):
         arm = BulletArm(rng)
-        while not arm.is_clear(*(moved := motion(arm, options.frames, rng))):
-            pass
-        while not is_visible(arm, camera := random_camera(width, height, rng), *moved):
-            pass
-        write_clip(options.out, name, arm, camera, *moved)
+        take = None
+        while take is None or not arm.is_clear(take.q, take.gap):
+            while not arm.is_clear(*(moved := motion(arm, options.frames, rng))):
+                pass
+            while not is_visible(arm, camera := random_camera(width, height, rng), *moved):
+                pass
+            take = plant(fault, arm, camera, *moved, rng)
+        write_clip(options.out, name, arm, camera, take)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ Scripts import it in environments of their own, so it needs no more than numpy a
 import argparse
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -19,6 +20,21 @@ HAND_TO_TCP_M = 0.1034
 PERIOD_S = 0.2
 """Time between two frames [s]."""
 FINGER_M = 0.04
+NO_FAULT = "none"
+FAULTS = ("vanish", "teleport", "freeze", "deformation")
+_LENGTHS = {"vanish": range(6, 13), "freeze": range(6, 10)}
+"""Numbers of frames without hand and fingers, and that repeat the frame before them; other faults last to the end."""
+_FAULT_PX = 800
+"""Least pixels of the gripper where a fault begins, in an image of 384 px."""
+_WATCHED_FRAMES = 13
+"""Frames in which it has as many, from the last one before the fault on, at most to the end of the fault."""
+_LEAST_SPEED_M_S = 0.03
+"""Least speed of the TCP in each step that a freeze leaves out."""
+_JUMP_M = (0.05, 0.12)
+"""Least and greatest distance of the TCP in a teleport from its last place, and from where the plain motion has it."""
+_JUMP_RAD = 0.1
+"""Standard deviation of the joints' steps in a teleport."""
+_TRIES = 20
 _WORKSPACE = np.array([[0.32, 0.62], [-0.3, 0.3], [0.06, 0.4]])
 """Box of the TCP's positions in the base frame [m]."""
 _LEAST_PX = 300
@@ -50,9 +66,28 @@ class SceneArm(Protocol):
         """Return the Jacobian (6, 7) of the hand's position and rotation, in the world."""
         ...
 
-    def render(self, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any]) -> Iterator[tuple[NDArray[Any], int]]:
-        """Yield images (H, W, 3) and the pixels of hand and fingers; the arm stays posed as the image shows."""
+    def render(
+        self, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any], fault: str = NO_FAULT
+    ) -> Iterator[tuple[NDArray[Any], int]]:
+        """Yield images (H, W, 3) and the pixels of hand and fingers; the arm stays posed as the image shows.
+
+        A vanish hides hand and fingers, a deformation stretches them, and other faults do not change their look.
+        """
         ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Take:
+    """Motion that a clip shows, and the fault in it."""
+
+    q: NDArray[Any]
+    """Postures (T, 7) [rad]."""
+    gap: NDArray[Any]
+    """Gaps of the fingers (T,) [m]."""
+    fault: str = NO_FAULT
+    first: int = 0
+    """First frame of the fault; the last one is `last`."""
+    last: int = -1
 
 
 def solve(arm: SceneArm, X_BH: NDArray[Any], q: NDArray[Any]) -> NDArray[Any] | None:
@@ -146,8 +181,64 @@ def camera_json(width: int, height: int, focal: float, X_BC: NDArray[Any]) -> di
 def is_visible(arm: SceneArm, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any]) -> bool:
     """Return whether a camera shows the gripper in most of some frames."""
     some = np.linspace(0, len(q) - 1, 5).round().astype(int)
-    least = _LEAST_PX * min(camera["width"], camera["height"]) ** 2 / 384**2
-    return bool(np.mean([n >= least for _, n in arm.render(camera, q[some], gap[some])]) >= _LEAST_SHARE)
+    return bool(np.mean([*_shows(arm, camera, q[some], gap[some], _LEAST_PX)]) >= _LEAST_SHARE)
+
+
+def _shows(
+    arm: SceneArm, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any], least_px: float
+) -> Iterator[bool]:
+    """Yield whether images show the gripper with as many pixels as `least_px` are in an image of 384 px."""
+    least = least_px * min(camera["width"], camera["height"]) ** 2 / 384**2
+    return (count >= least for _, count in arm.render(camera, q, gap))
+
+
+def plant(
+    fault: str, arm: SceneArm, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any], rng: np.random.Generator
+) -> Take | None:
+    """Return a motion with a fault that begins in the middle half of the clip, with the gripper in view.
+
+    Return None if none of some random places has room for it.
+    """
+    if fault == NO_FAULT:
+        return Take(q=q, gap=gap)
+    frames = len(q)
+    path = _tcp_path(arm, q)
+    for _ in range(_TRIES):
+        length = int(rng.choice(_LENGTHS.get(fault, range(1))))
+        first = frames // 2 if fault == "deformation" else int(rng.integers(frames // 4, 3 * frames // 4 - length))
+        last = first + length - 1 if length else frames - 1
+        take = Take(q=q.copy(), gap=gap.copy(), fault=fault, first=first, last=last)
+        if fault == "freeze":
+            take.q[first : last + 1] = q[first - 1]
+            take.gap[first : last + 1] = gap[first - 1]
+            steps = np.diff(path[first - 1 : last + 2], axis=0)
+            if np.linalg.norm(steps, axis=1).min() < _LEAST_SPEED_M_S * PERIOD_S:
+                continue
+        if fault == "teleport":
+            take.q[first:] += rng.normal(0.0, _JUMP_RAD, 7)
+            if not _is_jump(arm, take, path):
+                continue
+        watched = slice(first - 1, min(last + 1, first - 1 + _WATCHED_FRAMES))
+        if all(_shows(arm, camera, take.q[watched], take.gap[watched], _FAULT_PX)):
+            return take
+    return None
+
+
+def _tcp_path(arm: SceneArm, q: NDArray[Any]) -> NDArray[Any]:
+    """Return the positions (T, 3) of the TCP in the base frame [m]."""
+    path = []
+    for posture in q:
+        arm.set(posture, FINGER_M)
+        path.append(arm.X_BH[:3, 3] + HAND_TO_TCP_M * arm.X_BH[:3, 2])
+    return np.array(path)
+
+
+def _is_jump(arm: SceneArm, take: Take, plain: NDArray[Any]) -> bool:
+    """Return whether a path jumps visibly, keeps the limits, and goes no lower than the plain path (T, 3) [m]."""
+    path = _tcp_path(arm, take.q)
+    jumps_m = np.linalg.norm(path[take.first] - [path[take.first - 1], plain[take.first]], axis=1)
+    within = (take.q > arm.limits[:, 0]) & (take.q < arm.limits[:, 1]) & (path[:, 2:] >= plain[:, 2].min())
+    return bool(jumps_m.min() >= _JUMP_M[0] and jumps_m.max() <= _JUMP_M[1] and within.all())
 
 
 def write_video(path: Path, frames: Sequence[NDArray[Any]]) -> None:
@@ -161,43 +252,61 @@ def write_video(path: Path, frames: Sequence[NDArray[Any]]) -> None:
         file.mux(stream.encode())
 
 
-def write_clip(
-    folder: Path, name: str, arm: SceneArm, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any]
-) -> None:
+def write_clip(folder: Path, name: str, arm: SceneArm, camera: dict[str, Any], take: Take) -> None:
     """Render a clip and write it with its truth and its line of the manifest."""
     frames = []
     visible = []
     X_BH = []
-    for image, count in arm.render(camera, q, gap):
-        frames.append(image)
-        visible.append(count)
-        X_BH.append(arm.X_BH)
+    for fault, part in (
+        (NO_FAULT, slice(take.first)),
+        (take.fault, slice(take.first, take.last + 1)),
+        (NO_FAULT, slice(take.last + 1, None)),
+    ):
+        for image, count in arm.render(camera, take.q[part], take.gap[part], fault):
+            frames.append(image)
+            visible.append(count)
+            X_BH.append(arm.X_BH)
     write_video(folder / f"{name}.mp4", frames)
     tcp = np.eye(4)
     tcp[2, 3] = HAND_TO_TCP_M
     poses = np.array(X_BH)
+    planted: dict[str, Any] = (
+        {} if take.fault == NO_FAULT else {"fault": take.fault, "fault_frames": (take.first, take.last)}
+    )
     np.savez_compressed(
         folder / f"{name}.gt.npz",
-        base_from_hand=poses, base_from_tcp=poses @ tcp, q=q, finger_width_m=gap, visible=np.array(visible),
+        base_from_hand=poses, base_from_tcp=poses @ tcp, q=take.q, finger_width_m=take.gap,
+        visible=np.array(visible), **planted,
     )  # fmt: skip
     with (folder / "manifest.jsonl").open("a") as manifest:
-        manifest.write(json.dumps({"video": f"{name}.mp4", "frame_period_s": PERIOD_S, "camera": camera}) + "\n")
+        manifest.write(
+            json.dumps({"video": f"{name}.mp4", "frame_period_s": PERIOD_S, "camera": camera, **planted}) + "\n"
+        )
 
 
-def clip_parser(title: str, prefix: str) -> argparse.ArgumentParser:
-    """Return the parser of the options that all scripts have."""
+def clip_parser(title: str, prefix: str, faults: Sequence[str] = FAULTS) -> argparse.ArgumentParser:
+    """Return the parser of the options that all scripts have; `faults` are the kinds that the simulator shows."""
+
+    def kinds(text: str) -> list[str]:
+        if not {NO_FAULT, *faults}.issuperset(text.split(",")):
+            raise argparse.ArgumentTypeError(f"expected kinds among {NO_FAULT}, {', '.join(faults)}")
+        return text.split(",")
+
     parser = argparse.ArgumentParser(description=title)
     parser.add_argument("out", type=Path)
     parser.add_argument("--count", type=int, default=14)
     parser.add_argument("--seed", type=int, default=100)
     parser.add_argument("--frames", type=int, default=49)
     parser.add_argument("--prefix", default=prefix)
+    parser.add_argument(
+        "--faults", type=kinds, default=[NO_FAULT], help=f"of clips in turn: {NO_FAULT},{','.join(faults)}"
+    )
     parser.add_argument("--size", help="WxH of all clips; default: five shapes in turn")
     return parser
 
 
-def missing_clips(options: argparse.Namespace) -> Iterator[tuple[int, str, tuple[int, int], np.random.Generator]]:
-    """Yield number, name, width and height [px] and generator of each clip that the output folder lacks."""
+def missing_clips(options: argparse.Namespace) -> Iterator[tuple[int, str, tuple[int, int], str, np.random.Generator]]:
+    """Yield number, name, width and height [px], fault and generator of each clip that the output folder lacks."""
     options.out.mkdir(parents=True, exist_ok=True)
     for number in range(options.count):
         name = f"{options.prefix}{number:02d}"
@@ -206,5 +315,6 @@ def missing_clips(options: argparse.Namespace) -> Iterator[tuple[int, str, tuple
         width, height = (
             tuple(map(int, options.size.split("x"))) if options.size else SHAPES[(number // 2) % len(SHAPES)]
         )
-        yield number, name, (width, height), np.random.default_rng([options.seed, number])
+        fault = options.faults[number % len(options.faults)]
+        yield number, name, (width, height), fault, np.random.default_rng([options.seed, number])
         print(name, flush=True)

@@ -4,13 +4,15 @@ It runs in an environment of its own, since robosuite 1.5.2 needs mujoco 3.3.2:
 
     python -m venv env && env/bin/pip install mujoco==3.3.2 robosuite==1.5.2 av
     MUJOCO_GL=osmesa env/bin/python benchmarks/mujoco_clips.py OUT --count 14 --seed 100
+    MUJOCO_GL=osmesa env/bin/python benchmarks/mujoco_clips.py FAULTS --count 9 --faults vanish,teleport,freeze
 
-Writes OUT/NAME.mp4, OUT/NAME.gt.npz and OUT/manifest.jsonl, in the layout of `python -m benchmarks footage`. MuJoCo's
-software renderer needs Debian's libosmesa6.
+Writes OUT/NAME.mp4, OUT/NAME.gt.npz and OUT/manifest.jsonl, in the layout of `python -m benchmarks footage`; with
+faults, the truth is that of the shown motion. MuJoCo's software renderer needs Debian's libosmesa6.
 """
 
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +24,22 @@ from numpy.typing import NDArray
 sys.path.append(str(Path(__file__).parent.parent))  # a script of a checkout, which its environment has not installed
 
 from benchmarks.clip_scenes import (
+    NO_FAULT,
     camera_json,
     clip_parser,
     is_visible,
     missing_clips,
     motion,
+    plant,
     random_camera,
     write_clip,
 )
 
 SCENES = ("Lift", "Stack", "PickPlace", "NutAssembly", "Door")
 _VISUAL_GROUP = 1
+_HIDDEN_GROUP = 0
+_STRETCH = np.diag([1.0, 1.35, 1.0])
+"""Scale of deformed hands and fingers along the axes of the hand: wider where the fingers move."""
 _TABLE_LIFT_M = -0.15
 """Lift of the workspace to the table tops of the scenes, at which their cameras look [m]."""
 
@@ -42,9 +49,8 @@ class Arm:
 
     def __init__(self, scene: str, seed: int) -> None:
         """Create the scene; `seed` places its objects."""
-        np.random.seed(seed)  # noqa: NPY002 - the generator that robosuite draws from
         self.env = robosuite.make(
-            scene, robots="Panda", has_renderer=False, has_offscreen_renderer=False, use_camera_obs=False
+            scene, robots="Panda", has_renderer=False, has_offscreen_renderer=False, use_camera_obs=False, seed=seed
         )
         self.env.reset()
         self.model: Any = self.env.sim.model._model
@@ -53,6 +59,11 @@ class Arm:
         self.dofs = [self.model.joint(f"robot0_joint{i}").dofadr[0] for i in range(1, 8)]
         self.limits = np.array([self.model.joint(f"robot0_joint{i}").range for i in range(1, 8)])
         self.fingers = [self.model.joint(f"gripper0_right_finger_joint{i}").qposadr[0] for i in (1, 2)]
+        self.gripper = [
+            b
+            for b in range(self.model.nbody)
+            if self.model.body(b).name == "robot0_right_hand" or "gripper0_right" in self.model.body(b).name
+        ]
         mujoco.mj_forward(self.model, self.data)
 
     @property
@@ -94,15 +105,40 @@ class Arm:
         mujoco.mj_jacBody(self.model, self.data, J_position, J_rotation, body)
         return np.vstack([J_position, J_rotation])[:, self.dofs]
 
-    def render(self, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any]) -> Iterator[tuple[NDArray[Any], int]]:
+    def render(
+        self, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any], fault: str = NO_FAULT
+    ) -> Iterator[tuple[NDArray[Any], int]]:
         """Yield images (H, W, 3) and the pixels of hand and fingers; the arm stays posed as the image shows."""
-        film = Film(self, camera)
+        with self._altered(fault):
+            film = Film(self, camera)
+            try:
+                for posture, width_m in zip(q, gap, strict=True):
+                    self.set(posture, width_m)
+                    yield film.image(), film.gripper_px()
+            finally:
+                film.close()
+
+    @contextmanager
+    def _altered(self, fault: str) -> Iterator[None]:
+        """Hide hand and fingers (vanish) or stretch their meshes (deformation) for the renderers created inside."""
+        group = self.model.geom_group.copy()
+        vertices = self.model.mesh_vert.copy()
+        geoms = np.flatnonzero(np.isin(self.model.geom_bodyid, self.gripper) & (group == _VISUAL_GROUP))
+        if fault == "vanish":
+            self.model.geom_group[geoms] = _HIDDEN_GROUP
+        if fault == "deformation":
+            R_WH = self.data.body("robot0_right_hand").xmat.reshape(3, 3)
+            for geom in geoms:  # the fingers share a mesh, to which they do the same
+                mesh = self.model.geom_dataid[geom]
+                R = R_WH.T @ self.data.geom_xmat[geom].reshape(3, 3)
+                start = self.model.mesh_vertadr[mesh]
+                part = slice(start, start + self.model.mesh_vertnum[mesh])
+                self.model.mesh_vert[part] = vertices[part] @ R.T @ _STRETCH @ R
         try:
-            for posture, width_m in zip(q, gap, strict=True):
-                self.set(posture, width_m)
-                yield film.image(), film.gripper_px()
+            yield
         finally:
-            film.close()
+            self.model.geom_group[:] = group
+            self.model.mesh_vert[:] = vertices
 
 
 def stock_camera(arm: Arm, name: str, width: int, height: int) -> dict[str, Any]:
@@ -139,12 +175,6 @@ class Film:
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = 0
         self._option.geomgroup[_VISUAL_GROUP] = 1
-        bodies = range(arm.model.nbody)
-        self._gripper = [
-            b
-            for b in bodies
-            if arm.model.body(b).name == "robot0_right_hand" or "gripper0_right" in arm.model.body(b).name
-        ]
 
     def image(self) -> NDArray[Any]:
         """Return the image (H, W, 3)."""
@@ -159,7 +189,7 @@ class Film:
         self._renderer.disable_segmentation_rendering()
         geom = np.where(shown[..., 1] == mujoco.mjtObj.mjOBJ_GEOM, shown[..., 0], -1)
         body = np.where(geom >= 0, self._arm.model.geom_bodyid[geom], -1)
-        return int(np.isin(body, self._gripper).sum())
+        return int(np.isin(body, self._arm.gripper).sum())
 
     def close(self) -> None:
         """Free the renderer."""
@@ -171,19 +201,22 @@ def main() -> None:
     parser = clip_parser(__doc__.splitlines()[0], prefix="m")
     parser.add_argument("--stock", help="scenes with their own cameras, in turn, such as Lift:agentview,Door:frontview")
     options = parser.parse_args()
-    for number, name, (width, height), rng in missing_clips(options):
+    for number, name, (width, height), fault, rng in missing_clips(options):
         stock = options.stock.split(",") if options.stock else SCENES
         scene, _, own_camera = stock[number % len(stock)].partition(":")
         arm = Arm(scene, options.seed + number)
-        q, gap = motion(arm, options.frames, rng)
-        if own_camera:
-            camera = stock_camera(arm, own_camera, width, height)
-            while not is_visible(arm, camera, q, gap):
-                q, gap = motion(arm, options.frames, rng, lift_m=_TABLE_LIFT_M)
-        else:
-            while not is_visible(arm, camera := random_camera(width, height, rng), q, gap):
-                pass
-        write_clip(options.out, name, arm, camera, q, gap)
+        take = None
+        while take is None:
+            q, gap = motion(arm, options.frames, rng)
+            if own_camera:
+                camera = stock_camera(arm, own_camera, width, height)
+                while not is_visible(arm, camera, q, gap):
+                    q, gap = motion(arm, options.frames, rng, lift_m=_TABLE_LIFT_M)
+            else:
+                while not is_visible(arm, camera := random_camera(width, height, rng), q, gap):
+                    pass
+            take = plant(fault, arm, camera, q, gap, rng)
+        write_clip(options.out, name, arm, camera, take)
 
 
 if __name__ == "__main__":
