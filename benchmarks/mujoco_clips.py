@@ -4,37 +4,44 @@ It runs in an environment of its own, since robosuite 1.5.2 needs mujoco 3.3.2:
 
     python -m venv env && env/bin/pip install mujoco==3.3.2 robosuite==1.5.2 av
     MUJOCO_GL=osmesa env/bin/python benchmarks/mujoco_clips.py OUT --count 14 --seed 100
+    MUJOCO_GL=osmesa env/bin/python benchmarks/mujoco_clips.py FAULTS --count 9 --faults vanish,teleport,freeze
 
-Writes OUT/NAME.mp4, OUT/NAME.gt.npz and OUT/manifest.jsonl, in the layout of `python -m benchmarks footage`. MuJoCo's
-software renderer needs Debian's libosmesa6.
+Writes OUT/NAME.mp4, OUT/NAME.gt.npz and OUT/manifest.jsonl, in the layout of `python -m benchmarks footage`; with
+faults, the truth is that of the shown motion. MuJoCo's software renderer needs Debian's libosmesa6.
 """
 
-import argparse
-import json
-from collections.abc import Iterator, Sequence
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import av
 import mujoco
 import numpy as np
 import robosuite
 from numpy.typing import NDArray
 
+sys.path.append(str(Path(__file__).parent.parent))  # a script of a checkout, which its environment has not installed
+
+from benchmarks.clip_scenes import (
+    NO_FAULT,
+    camera_json,
+    clip_parser,
+    is_visible,
+    missing_clips,
+    motion,
+    plant,
+    random_camera,
+    write_clip,
+)
+
 SCENES = ("Lift", "Stack", "PickPlace", "NutAssembly", "Door")
-SHAPES = ((384, 384), (640, 480), (512, 320), (480, 480), (256, 256))
-HAND_TO_TCP_M = 0.1034
-PERIOD_S = 0.2
-FINGER_M = 0.04
 _VISUAL_GROUP = 1
-_WORKSPACE = np.array([[0.32, 0.62], [-0.3, 0.3], [0.06, 0.4]])
-"""Box of the TCP's positions in the base frame [m]."""
+_HIDDEN_GROUP = 0
+_STRETCH = np.diag([1.0, 1.35, 1.0])
+"""Scale of deformed hands and fingers along the axes of the hand: wider where the fingers move."""
 _TABLE_LIFT_M = -0.15
 """Lift of the workspace to the table tops of the scenes, at which their cameras look [m]."""
-_LEAST_PX = 300
-"""Pixels of the gripper from which it is visible, in an image of 384 px."""
-_LEAST_SHARE = 0.8
-"""Least share of the frames in which it is visible."""
 
 
 class Arm:
@@ -42,9 +49,8 @@ class Arm:
 
     def __init__(self, scene: str, seed: int) -> None:
         """Create the scene; `seed` places its objects."""
-        np.random.seed(seed)  # noqa: NPY002 - the generator that robosuite draws from
         self.env = robosuite.make(
-            scene, robots="Panda", has_renderer=False, has_offscreen_renderer=False, use_camera_obs=False
+            scene, robots="Panda", has_renderer=False, has_offscreen_renderer=False, use_camera_obs=False, seed=seed
         )
         self.env.reset()
         self.model: Any = self.env.sim.model._model
@@ -53,6 +59,11 @@ class Arm:
         self.dofs = [self.model.joint(f"robot0_joint{i}").dofadr[0] for i in range(1, 8)]
         self.limits = np.array([self.model.joint(f"robot0_joint{i}").range for i in range(1, 8)])
         self.fingers = [self.model.joint(f"gripper0_right_finger_joint{i}").qposadr[0] for i in (1, 2)]
+        self.gripper = [
+            b
+            for b in range(self.model.nbody)
+            if self.model.body(b).name == "robot0_right_hand" or "gripper0_right" in self.model.body(b).name
+        ]
         mujoco.mj_forward(self.model, self.data)
 
     @property
@@ -77,100 +88,57 @@ class Arm:
         self.data.qpos[self.fingers] = [width_m / 2, -width_m / 2]
         mujoco.mj_forward(self.model, self.data)
 
-    def solve(self, X_BH: NDArray[Any], q: NDArray[Any]) -> NDArray[Any] | None:
-        """Return the posture (7,) that reaches a pose of the hand, from `q` on; None if none is found."""
+    def offset(self, X_BH: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the shift (3,) [m] and the rotation vector (3,) [rad] from the hand to a pose, in the world."""
+        hand = self.data.body("robot0_right_hand")
+        X_WH = self.X_WB @ X_BH
+        turn = np.zeros(3)
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, (X_WH[:3, :3] @ hand.xmat.reshape(3, 3).T).ravel())
+        mujoco.mju_quat2Vel(turn, quat, 1.0)
+        return X_WH[:3, 3] - hand.xpos, turn
+
+    def jacobian(self) -> NDArray[Any]:
+        """Return the Jacobian (6, 7) of the hand's position and rotation, in the world."""
         J_position, J_rotation = (np.zeros((3, self.model.nv)) for _ in range(2))
         body = self.model.body("robot0_right_hand").id
-        for _ in range(200):
-            self.set(q, 0.04)
-            X_WH = self.X_WB @ X_BH
-            off = X_WH[:3, 3] - self.data.body(body).xpos
-            turn = np.zeros(3)
-            quat = np.zeros(4)
-            mujoco.mju_mat2Quat(quat, (X_WH[:3, :3] @ self.data.body(body).xmat.reshape(3, 3).T).ravel())
-            mujoco.mju_quat2Vel(turn, quat, 1.0)
-            if np.linalg.norm(off) < 1e-3 and np.linalg.norm(turn) < 1e-2:
-                return q
-            mujoco.mj_jacBody(self.model, self.data, J_position, J_rotation, body)
-            J = np.vstack([J_position, J_rotation])[:, self.dofs]
-            step = J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(6), np.concatenate([off, turn]))
-            q = np.clip(q + np.clip(step, -0.2, 0.2), self.limits[:, 0] + 0.05, self.limits[:, 1] - 0.05)
-        return None
+        mujoco.mj_jacBody(self.model, self.data, J_position, J_rotation, body)
+        return np.vstack([J_position, J_rotation])[:, self.dofs]
 
+    def render(
+        self, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any], fault: str = NO_FAULT
+    ) -> Iterator[tuple[NDArray[Any], int]]:
+        """Yield images (H, W, 3) and the pixels of hand and fingers; the arm stays posed as the image shows."""
+        with self._altered(fault):
+            film = Film(self, camera)
+            try:
+                for posture, width_m in zip(q, gap, strict=True):
+                    self.set(posture, width_m)
+                    yield film.image(), film.gripper_px()
+            finally:
+                film.close()
 
-def motion(
-    arm: Arm, frames: int, rng: np.random.Generator, *, lift_m: float = 0.0
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return postures (T, 7) [rad] and finger gaps (T,) [m] of a smooth motion through random poses of the hand.
-
-    The workspace is lifted by `lift_m`.
-    """
-    q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
-    targets = list[NDArray[Any]]()
-    stops = max(2, round(frames / 16) + 1)
-    while len(targets) < stops:
-        tilt = rng.normal(0.0, 0.3, 2)
-        turn = rng.uniform(-1.2, 1.2)
-        X = np.eye(4)
-        X[:3, :3] = _turn(2, turn) @ _turn(0, np.pi + tilt[0]) @ _turn(1, tilt[1])
-        X[:3, 3] = rng.uniform(*_WORKSPACE.T) - HAND_TO_TCP_M * X[:3, 2]
-        X[2, 3] += lift_m
-        reached = arm.solve(X, q)
-        if reached is not None and (not targets or np.abs(reached - targets[-1]).max() < 0.5 * np.pi):
-            targets.append(reached)
-            q = reached
-    s = np.linspace(0.0, stops - 1, frames)
-    first = np.minimum(s.astype(int), stops - 2)
-    u = s - first
-    u = u**3 * (10 - 15 * u + 6 * u**2)  # minimum jerk (Flash and Hogan 1985)
-    postures = np.array(targets)
-    gap = rng.uniform(0.0, 2 * FINGER_M, stops)
-    blend = (1 - u)[:, None], u[:, None]
-    return (
-        blend[0] * postures[first] + blend[1] * postures[first + 1],
-        blend[0][:, 0] * gap[first] + blend[1][:, 0] * gap[first + 1],
-    )
-
-
-def _turn(axis: int, angle: float) -> NDArray[Any]:
-    R = np.eye(3)
-    i = (axis + 1) % 3
-    j = (axis + 2) % 3
-    R[i, i] = R[j, j] = np.cos(angle)
-    R[i, j] = -np.sin(angle)
-    R[j, i] = np.sin(angle)
-    return R
-
-
-def random_camera(width: int, height: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Return a camera.json object: in front of or beside the robot, upright, looking at its workspace."""
-    fov = np.deg2rad(rng.uniform(36.0, 65.0))
-    focal = height / 2 / np.tan(fov / 2)
-    azimuth = rng.uniform(-1.7, 1.7)
-    elevation = rng.uniform(0.1, 1.05)
-    target = np.array([0.3, 0.0, 0.25]) + rng.normal(0.0, 0.08, 3)
-    distance = rng.uniform(0.75, 1.15) / np.tan(fov / 2) * 0.55
-    away = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
-    return camera_json(width, height, focal, look_at(target + distance * away, target))
-
-
-def look_at(eye: NDArray[Any], target: NDArray[Any]) -> NDArray[Any]:
-    """Return the pose (4, 4) of an upright camera at `eye` that looks at `target`; OpenCV axes."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    X = np.eye(4)
-    X[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
-    X[:3, 3] = eye
-    return X
-
-
-def camera_json(width: int, height: int, focal: float, X_BC: NDArray[Any]) -> dict[str, Any]:
-    """Return the object of camera.json of a centred camera."""
-    return {
-        "width": width, "height": height, "fx": focal, "fy": focal, "cx": width / 2, "cy": height / 2,
-        "base_from_camera": X_BC.tolist(),
-    }  # fmt: skip
+    @contextmanager
+    def _altered(self, fault: str) -> Iterator[None]:
+        """Hide hand and fingers (vanish) or stretch their meshes (deformation) for the renderers created inside."""
+        group = self.model.geom_group.copy()
+        vertices = self.model.mesh_vert.copy()
+        geoms = np.flatnonzero(np.isin(self.model.geom_bodyid, self.gripper) & (group == _VISUAL_GROUP))
+        if fault == "vanish":
+            self.model.geom_group[geoms] = _HIDDEN_GROUP
+        if fault == "deformation":
+            R_WH = self.data.body("robot0_right_hand").xmat.reshape(3, 3)
+            for geom in geoms:  # the fingers share a mesh, to which they do the same
+                mesh = self.model.geom_dataid[geom]
+                R = R_WH.T @ self.data.geom_xmat[geom].reshape(3, 3)
+                start = self.model.mesh_vertadr[mesh]
+                part = slice(start, start + self.model.mesh_vertnum[mesh])
+                self.model.mesh_vert[part] = vertices[part] @ R.T @ _STRETCH @ R
+        try:
+            yield
+        finally:
+            self.model.geom_group[:] = group
+            self.model.mesh_vert[:] = vertices
 
 
 def stock_camera(arm: Arm, name: str, width: int, height: int) -> dict[str, Any]:
@@ -207,12 +175,6 @@ class Film:
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = 0
         self._option.geomgroup[_VISUAL_GROUP] = 1
-        bodies = range(arm.model.nbody)
-        self._gripper = [
-            b
-            for b in bodies
-            if arm.model.body(b).name == "robot0_right_hand" or "gripper0_right" in arm.model.body(b).name
-        ]
 
     def image(self) -> NDArray[Any]:
         """Return the image (H, W, 3)."""
@@ -227,96 +189,34 @@ class Film:
         self._renderer.disable_segmentation_rendering()
         geom = np.where(shown[..., 1] == mujoco.mjtObj.mjOBJ_GEOM, shown[..., 0], -1)
         body = np.where(geom >= 0, self._arm.model.geom_bodyid[geom], -1)
-        return int(np.isin(body, self._gripper).sum())
+        return int(np.isin(body, self._arm.gripper).sum())
 
     def close(self) -> None:
         """Free the renderer."""
         self._renderer.close()
 
 
-def render(arm: Arm, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any]) -> Iterator[tuple[NDArray[Any], int]]:
-    """Yield images and pixels of the gripper."""
-    film = Film(arm, camera)
-    try:
-        for posture, width_m in zip(q, gap, strict=True):
-            arm.set(posture, width_m)
-            yield film.image(), film.gripper_px()
-    finally:
-        film.close()
-
-
-def is_visible(arm: Arm, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any]) -> bool:
-    """Return whether a camera shows the gripper in most of some frames."""
-    some = np.linspace(0, len(q) - 1, 5).round().astype(int)
-    least = _LEAST_PX * min(camera["width"], camera["height"]) ** 2 / 384**2
-    return bool(np.mean([n >= least for _, n in render(arm, camera, q[some], gap[some])]) >= _LEAST_SHARE)
-
-
-def write_video(path: Path, frames: Sequence[NDArray[Any]]) -> None:
-    """Write images (H, W, 3) as H.264."""
-    with av.open(str(path), "w") as file:
-        stream = file.add_stream("libx264", rate=17, options={"crf": "20"})
-        stream.height, stream.width, _ = frames[0].shape
-        stream.pix_fmt = "yuv420p"
-        for image in frames:
-            file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
-        file.mux(stream.encode())
-
-
-def write_clip(folder: Path, name: str, arm: Arm, camera: dict[str, Any], q: NDArray[Any], gap: NDArray[Any]) -> None:
-    """Render a clip and write it with its truth and its line of the manifest."""
-    frames = []
-    visible = []
-    X_BH = []
-    for image, count in render(arm, camera, q, gap):
-        frames.append(image)
-        visible.append(count)
-        X_BH.append(arm.X_BH)
-    write_video(folder / f"{name}.mp4", frames)
-    tcp = np.eye(4)
-    tcp[2, 3] = HAND_TO_TCP_M
-    poses = np.array(X_BH)
-    np.savez_compressed(
-        folder / f"{name}.gt.npz",
-        base_from_hand=poses, base_from_tcp=poses @ tcp, q=q, finger_width_m=gap, visible=np.array(visible),
-    )  # fmt: skip
-    with (folder / "manifest.jsonl").open("a") as manifest:
-        manifest.write(json.dumps({"video": f"{name}.mp4", "frame_period_s": PERIOD_S, "camera": camera}) + "\n")
-
-
 def main() -> None:
     """Render clips from anywhere, or at the cameras of the scenes."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--count", type=int, default=14)
-    parser.add_argument("--seed", type=int, default=100)
-    parser.add_argument("--frames", type=int, default=49)
-    parser.add_argument("--prefix", default="m")
-    parser.add_argument("--size", help="WxH of all clips; default: five shapes in turn")
+    parser = clip_parser(__doc__.splitlines()[0], prefix="m")
     parser.add_argument("--stock", help="scenes with their own cameras, in turn, such as Lift:agentview,Door:frontview")
     options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    for number in range(options.count):
-        name = f"{options.prefix}{number:02d}"
-        if (options.out / f"{name}.gt.npz").exists():
-            continue
-        rng = np.random.default_rng([options.seed, number])
+    for number, name, (width, height), fault, rng in missing_clips(options):
         stock = options.stock.split(",") if options.stock else SCENES
         scene, _, own_camera = stock[number % len(stock)].partition(":")
         arm = Arm(scene, options.seed + number)
-        width, height = (
-            tuple(map(int, options.size.split("x"))) if options.size else SHAPES[(number // 2) % len(SHAPES)]
-        )
-        q, gap = motion(arm, options.frames, rng)
-        if own_camera:
-            camera = stock_camera(arm, own_camera, width, height)
-            while not is_visible(arm, camera, q, gap):
-                q, gap = motion(arm, options.frames, rng, lift_m=_TABLE_LIFT_M)
-        else:
-            while not is_visible(arm, camera := random_camera(width, height, rng), q, gap):
-                pass
-        write_clip(options.out, name, arm, camera, q, gap)
-        print(name, flush=True)
+        take = None
+        while take is None:
+            q, gap = motion(arm, options.frames, rng)
+            if own_camera:
+                camera = stock_camera(arm, own_camera, width, height)
+                while not is_visible(arm, camera, q, gap):
+                    q, gap = motion(arm, options.frames, rng, lift_m=_TABLE_LIFT_M)
+            else:
+                while not is_visible(arm, camera := random_camera(width, height, rng), q, gap):
+                    pass
+            take = plant(fault, arm, camera, q, gap, rng)
+        write_clip(options.out, name, arm, camera, take)
 
 
 if __name__ == "__main__":
