@@ -44,10 +44,6 @@ _SCORE_SPREAD_ELSEWHERE = 0.25
 """The same in unfamiliar videos."""
 _ABSENT_AGREEMENT = 0.2
 """Share of the hand's contours on image edges below which they lie there by chance, as where there is no hand."""
-_MEASURABLE_SHARE = 0.9
-"""Least share of frames with a fair position of an unfamiliar video in which an undetected gripper has vanished.
-
-Frames without a gripper do not count."""
 _FAIR_CONFIDENCE = 0.1
 """Least confidence at which a frame's position and misfit count."""
 _GOOD_CONFIDENCE = 0.5
@@ -223,7 +219,8 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
     freezes = find_freezes(e.p_C, e.fair, e.still, e.t_s)
     familiar = e.domain is Domain.FAMILIAR
     detections = (
-        _find_vanishing(e),
+        # in an unfamiliar video a doubtful pose is none
+        find_vanishing(e.confidence if familiar else (e.confidence > 0.0).astype(np.float64), e.explained, e.expected),
         find_duplicates(e.other),
         _without(find_teleports(e.p_C, e.fair, e.good, e.t_s), {a.frame_end + 1 for a in freezes.anomalies}),
         freezes,
@@ -233,16 +230,6 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
     )
     spread = _SCORE_SPREAD if familiar else _SCORE_SPREAD_ELSEWHERE
     return AnomalyDetections(by_kind={each.kind: each.beyond(spread) for each in detections}, spread=spread)
-
-
-def _find_vanishing(e: AnomalyEvidence) -> Detection:
-    """Detect a vanished gripper; in an unfamiliar video a doubtful pose is none, unless most others are fair."""
-    if e.domain is Domain.FAMILIAR:
-        return find_vanishing(e.confidence, e.explained, e.expected)
-    detection = find_vanishing((e.confidence > 0.0).astype(np.float64), e.explained, e.expected)
-    others = e.fair[detection.score <= 1.0]
-    is_measurable = len(others) and others.mean() >= _MEASURABLE_SHARE
-    return detection if is_measurable else Detection(kind=detection.kind, score=np.zeros(len(e.t_s)))
 
 
 def _without(detection: Detection, frames: set[int]) -> Detection:
