@@ -31,7 +31,7 @@ from kinebench_drake.grounding.tracking.pose import (
     frame_confidence,
     load_confidence,
 )
-from kinebench_drake.grounding.tracking.smoothing import RawTrack
+from kinebench_drake.grounding.tracking.smoothing import ON_PATH_CONFIDENCE, RawTrack
 from kinebench_drake.grounding.tracking.tracker import CadTracker, PoseTracker, Tracking
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
@@ -181,6 +181,7 @@ class GroundingPipeline:
         raw = RawTrack.from_poses(poses, evidence.confidence, detections.anomalies, motion.lost, X_prior, t_s)
         probability = self._confidence[evidence.domain].track.probability(raw.features())
         confidence = np.where(raw.has_pose, np.where(raw.from_prior, 1.0, probability), 0.0)
+        confidence[raw.on_path(confidence >= bounds.TRACKED_CONFIDENCE)] = ON_PATH_CONFIDENCE
         tracked = confidence >= bounds.TRACKED_CONFIDENCE
         X_AH = raw.smooth(tracked, confidence)
         track = GripperTrack(
