@@ -45,11 +45,14 @@ _CONTOUR_SIZE = 0.06
 """Least relative error of the size by contours of a hand that is too large or too small.
 
 In clean videos of another simulator it is up to 0.051 (`python -m benchmarks footage`)."""
-_CONTOUR_CHANGE = 0.12
+_CONTOUR_CHANGE = 0.15
 """Least relative change of the hand's contour of a deformation in an unfamiliar look."""
-_CONTOUR_GAIN = 0.18
-"""Least increase of the contour's agreement by another size or shape of the hand."""
-_CONTOUR_WINDOW = 9
+_CONTOUR_GAIN = 0.225
+"""Least increase of the contour's agreement by another size or shape of the hand.
+
+With both bounds the score of 56 clean clips of robosuite and PyBullet is at most 0.75, and of six hands that were
+stretched by 35 % for half a clip two are reported, the others missed."""
+_CONTOUR_WINDOW = 15
 """Frames of the running median of the contour's change."""
 _WRONG_SIZE_SHARE = 0.5
 """Share of the frames with a hand of the wrong size above which the hand is not deformed."""
