@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Self
 
@@ -116,18 +117,19 @@ class GroundingPipeline:
         confidence: Mapping[Domain, Confidence],
         gripper: GripperKind = GripperKind.FRANKA,
         arm_tracker: PoseTracker | None = None,
-        absences: AbsenceFinder | None = None,
     ) -> None:
         """Compose the pipeline of a tracker that looks for `gripper` and the calibrated `confidence` of its poses.
 
-        The motion of a camera is checked by the faster `arm_tracker`; None for the same. Without `absences` no hand is
-        known to be gone.
+        The motion of a camera is checked by the faster `arm_tracker`; None for the same.
         """
         self.tracker = tracker
         self._arm_tracker = arm_tracker or tracker
         self._confidence = confidence
         self._gripper = gripper
-        self._absences = absences
+
+    @cached_property
+    def _absences(self) -> AbsenceFinder:
+        return AbsenceFinder(ArmModel(), EdgeMatcher())
 
     @classmethod
     def create(
@@ -150,7 +152,7 @@ class GroundingPipeline:
         confidence = load_confidence(calibration or CALIBRATION)
         tracker = CadTracker(estimator, confidence=confidence) if franka else FlangeTracker(estimator, gripper)
         by_arm = FlangeTracker(estimator) if gripper is GripperKind.ROBOTIQ_2F85 else None
-        return cls(tracker, confidence, gripper, by_arm, AbsenceFinder(ArmModel(), EdgeMatcher()))
+        return cls(tracker, confidence, gripper, by_arm)
 
     def ground(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> PipelineResult:
         """Estimate the gripper track of a video.
@@ -251,8 +253,6 @@ class GroundingPipeline:
         places = motion.places if stabilized else None
 
         def explain(present: NDArray[np.bool_]) -> tuple[Absence | None, ...]:
-            if self._absences is None:
-                return (None,) * len(frames)
             return self._absences.explain(*steady, places, tracking.wide, resolved, present)
 
         evidence = gather_evidence(

@@ -167,7 +167,7 @@ class AbsenceFinder:
         if px < LEAST_PX:
             return Absence.SMALL
         mask = wide.to_frame(wide.gripper, camera)
-        covered = crop.warp(mask.astype(np.uint8), camera, nearest=True)[shown] > 0
+        covered = crop.warp(mask.astype(np.uint8), camera, nearest=True)[shown].astype(bool)
         agreement = self.edges.agreement(image, X_CP, (RobotPart.HAND,))
         return Absence.GONE if max(agreement, float(covered.mean())) < _LIKE_A_HAND else Absence.UNSURE
 

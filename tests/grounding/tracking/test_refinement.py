@@ -9,6 +9,7 @@ import pytest
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, FollowedArm
+from kinebench_drake.grounding.tracking.markov import likeliest_postures
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.refinement import EdgeRefinement
 from kinebench_drake.grounding.tracking.view import Crop
@@ -69,8 +70,13 @@ class Fitter:
         arm = arm_fit(RIGHT, 0.7) if right else arm_fit(q[0], 0.2, agrees=False)
         return replace(arm, X_CH=make_pose(np.eye(3), [self.moved_m, 0.0, 0.0]))
 
-    def refine_all(self, q: Array, views: object, images: object, followed: object = None) -> list[ArmFit | None]:
+    def refine_all(
+        self, q: Array, views: object, images: object, followed: object = None, *, may_turn: bool = True
+    ) -> list[ArmFit | None]:
         return [self.refine(own, followed) for own in q]
+
+    def hand(self, q: Array) -> Array:
+        return hand_pose(1)
 
     def poses(self, arm: ArmFit) -> Array:
         return np.full((1, 4, 4), arm.q[0])
@@ -211,3 +217,33 @@ def test_unfamiliar_poses_that_no_edges_confirm_are_rejected(poses: dict[int, Fr
     unfamiliar = refinement(poses, Fitter(reach=0.0))
     unfamiliar.run()
     assert not any(pose.arm_agrees for pose in unfamiliar.poses.values())
+
+
+def test_a_run_of_wrong_postures_between_right_ones_is_fitted_again_from_the_path(poses: dict[int, FramePose]) -> None:
+    def measure(crops: dict[int, Crop]) -> dict[int, FramePose]:
+        return {i: poses[5] for i in crops}
+
+    wrong = range(4, 9)
+    for i in range(FRAMES):
+        poses[i] = replace(poses[5], arm=arm_fit(WRONG if i in wrong else RIGHT))
+
+    class Agreeing(Fitter):
+        """Its edges confirm the wrong posture, too."""
+
+        def refine(self, q: Array, followed: object) -> ArmFit | None:
+            return arm_fit(WRONG, 0.65) if abs(q[0] - WRONG) < self.reach else arm_fit(RIGHT, 0.7)
+
+    unfamiliar = refinement(poses, Agreeing(), measure=measure, may_be_familiar=False)
+    unfamiliar.run()
+    assert [pose.arm.q[0] for _, pose in sorted(unfamiliar.poses.items()) if pose.arm is not None] == [RIGHT] * FRAMES
+
+
+def test_the_likeliest_postures_make_one_path_unless_all_that_follow_have_jumped() -> None:
+    near = np.full(7, 0.1)
+    far = near + 1.0
+    agreements = [np.array([0.7]), np.array([0.6, 0.7]), np.array([0.7])]
+    postures = [near[None], np.stack([near, far]), near[None]]
+    assert likeliest_postures([0, 1, 2], postures, agreements) == [0, 0, 0]
+    jumped = [near[None], np.stack([near, far]), far[None]]
+    assert likeliest_postures([0, 1, 2], jumped, agreements) == [0, 1, 0]
+    assert likeliest_postures([0], [np.stack([near, far])], [np.array([0.6, 0.7])]) == [1]

@@ -146,3 +146,23 @@ def test_the_distance_feature_is_largest_at_a_frame_that_deviates_from_its_neigh
     distance = replace(raw, X_AH=X_AH).features()[:, 1]
     assert distance.argmax() == 6
     assert distance[6] == pytest.approx(np.log(np.sqrt(3) * 0.1 / 0.01), abs=0.1)
+
+
+def test_a_doubtful_pose_counts_only_on_the_path_of_tracked_frames_on_both_sides() -> None:
+    X = motion()
+    X[20, :3, 3] += 0.01  # near the path
+    X[30, :3, 3] += 0.05  # off it
+    tracked = np.ones(FRAMES, dtype=bool)
+    tracked[[1, 20, 30]] = False
+    raw = RawTrack(
+        X_AH=X,
+        covariance=EQUAL + 1e-6 * np.eye(6),
+        confidence=np.where(tracked, 0.9, 0.2),
+        from_prior=np.zeros(FRAMES, dtype=bool),
+        breaks=(),
+        place=np.arange(FRAMES, dtype=np.float64),
+    )
+    assert np.flatnonzero(raw.on_path(tracked)).tolist() == [20]
+    assert not replace(raw, breaks=(20,)).on_path(tracked).any()
+    tracked[17:20] = False
+    assert not raw.on_path(tracked)[20]
