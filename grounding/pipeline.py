@@ -13,7 +13,7 @@ from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding import bounds
-from kinebench_drake.grounding.anomaly.absence import Absence, AbsenceFinder
+from kinebench_drake.grounding.anomaly.absence import Absence, AbsenceFinder, list_lost
 from kinebench_drake.grounding.anomaly.appearance import HandSize
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, FeatureTracks, measure_camera_motion
 from kinebench_drake.grounding.anomaly.detect import NOT_LOOKED_FOR, AnomalyEvidence, find_anomalies, gather_evidence
@@ -36,6 +36,7 @@ from kinebench_drake.grounding.tracking.smoothing import ON_PATH_CONFIDENCE, Raw
 from kinebench_drake.grounding.tracking.tracker import CadTracker, PoseTracker, Tracking
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.io.jsonl import Json
 from kinebench_drake.models.panda.description import GripperKind, hand_from_tcp
 from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, load_network
 from kinebench_drake.models.robot import N_JOINTS
@@ -83,7 +84,7 @@ class PipelineResult:
     """Curves (T,) of the track file: share of matched points, their distance [m] and weight of ICP; NaN without it."""
 
     absences: tuple[Absence | None, ...] = ()
-    """(T,) why the gripper was not found; None where it was."""
+    """(T,) why the gripper was not found; None where it was. Empty: it was never asked."""
     hand_size: HandSize | None = None
     """Size of the hand by the arm behind it; None if it is not measured."""
 
@@ -91,6 +92,11 @@ class PipelineResult:
     def has_pose(self) -> NDArray[np.bool_]:
         """(T,) frames in which a gripper is seen, trusted or not."""
         return np.asarray(np.isfinite(self.X_CH_raw).all(axis=(1, 2)))
+
+    @property
+    def lost_frames(self) -> list[Json]:
+        """Stretches of frames without a pose, each with its reason."""
+        return list_lost(self.track.tracked, self.absences or (None,) * len(self.track.tracked))
 
     @property
     def anomalies(self) -> tuple[Anomaly, ...]:

@@ -13,7 +13,6 @@ from kinebench_drake.environment.precision import network_precision
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample, VideoSamples
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.anomaly.absence import list_lost
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.container import write_video
@@ -164,7 +163,7 @@ def _measured_row(
         anomalies_open=[kind.value for kind in measured.anomalies_open],
         anomaly_scores={kind.value: round(score, 4) for kind, score in measured.detections.scores.items()},
         **({"gripper": measured.gripper.value} if measured.domain is Domain.ARM else {}),
-        **({"lost_frames": lost} if (lost := list_lost(track.tracked, measured.absences)) else {}),
+        **({"lost_frames": measured.lost_frames} if measured.lost_frames else {}),
         frames=len(track.t_s),
         idle_ends=idle_ends(track),
         fingerprint=fingerprint(track.X_CH),
