@@ -62,6 +62,7 @@ class FakeResult:
     anomalies_open: tuple[AnomalyKind, ...] = ()
     detections: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(scores={}))
     hand_size: None = None
+    lost_frames: tuple[object, ...] = ()
     possible: tuple[GripperTrack, ...] = ()
 
     @property
