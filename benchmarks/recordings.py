@@ -146,7 +146,12 @@ def store(storage: Storage, trajectory: Trajectory, others: Sequence[Trajectory]
     t_s = trajectory.t_s
     period_s = float(np.median(np.diff(t_s)))
     values = _values(storage, trajectory)
-    names = [f"joint_{k}" for k in range(1, 8)] if trajectory.q is not None else ["x", "y", "z", "qw", "qx", "qy", "qz"]
+    if trajectory.q is not None:
+        names = [f"joint_{k}" for k in range(1, 8)]
+    elif storage.decidable:  # names that state the frame
+        names = ["x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"]
+    else:
+        names = ["x", "y", "z", "qw", "qx", "qy", "qz"]
     names.append("gripper_width")
     times = ["t_s"]
     if storage is Storage.HELD:

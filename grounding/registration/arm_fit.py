@@ -302,6 +302,8 @@ class ArmFitter:
         views: Sequence[ArmView],
         images: Sequence[GradientImage],
         followed: Correspondences | None = None,
+        *,
+        may_turn: bool = True,
     ) -> list[ArmFit | None]:
         """Fit the arms of B frames to the edges of their images, from postures; None where that diverges.
 
@@ -309,7 +311,8 @@ class ArmFitter:
         hand, whose bevels look like outlines, the edge nearest to its segmented rim is taken.
 
         The postures `q` (B, 7) [rad] are of these frames or of neighbouring ones. Points of the surface that led to one
-        of a single frame, `followed`, count in place of the cells, in all passes.
+        of a single frame, `followed`, count in place of the cells, in all passes. Where the edges speak for it, a hand
+        that `may_turn` is turned by half a turn.
         """
         images = [self._with_rim(image, view.close) for image, view in zip(images, views, strict=True)]
         contours: dict[int, EdgePoints | None] = {}
@@ -340,7 +343,7 @@ class ArmFitter:
         for i, fit in zip(numbers, self._with_evidence(solution, evidence, [views[i] for i in numbers]), strict=True):
             fits[i] = fit
         contours.clear()
-        doubtful = np.flatnonzero([of_turn < 0 for of_turn, _, _ in evidence])
+        doubtful = np.flatnonzero([may_turn and of_turn < 0 for of_turn, _, _ in evidence])
         if len(doubtful):
             turned = half_turn(solution.model.take(doubtful))
             numbers = [numbers[k] for k in doubtful]
@@ -449,6 +452,10 @@ class ArmFitter:
             edge_agreement=self._edges.agreement(image, X_CP, LAST_LINKS),
             hand_agreement=self._edges.agreement(image, X_CP, (RobotPart.LINK7,)),
         )
+
+    def hand(self, q: Array) -> Array:
+        """Return the pose (4, 4) of panda_hand in the camera frame at a posture (7,) [m]."""
+        return np.asarray(self._links_at(q[None]).hand()[0][0])
 
     def edge_agreement(self, q: Array, image: GradientImage) -> float:
         """Return the share of the contour of hand and wrist at a posture (7,) that lies on edges of the image."""

@@ -39,6 +39,12 @@ _CAP_WITH_EDGES = 2.0
 """Greatest log-likelihood ratio by CAD coordinates, which are less sure where poses had to be fitted to edges."""
 _ROTATION_SIGMA_RAD = np.deg2rad(20.0)
 """Usual rotation between frames [rad]."""
+_AGREEMENT_NATS = 25.0
+"""Log-likelihood ratio per difference of edge agreement of postures."""
+_JOINT_SIGMA_RAD = 0.25
+"""Usual change of a joint from frame to frame [rad]."""
+_JOINT_CAP = 12.0
+"""Greatest cost of a change of posture: generated arms jump."""
 _ROTATION_CAP = 40.0
 """Cost of a jump: half a turn in one frame is no motion of an arm."""
 TURNS_RAD = np.deg2rad(np.arange(-170.0, 171.0, 10.0))
@@ -123,6 +129,25 @@ def resolve_flips(poses: Sequence[FramePose | None]) -> list[FramePose | None]:
         if state:
             resolved[i] = replace(pose, X_CH=flipped)
     return resolved
+
+
+def likeliest_postures(
+    numbers: Sequence[int], postures: Sequence[Array], agreements: Sequence[Array]
+) -> list[int]:
+    """Return the number of the posture in each of T frames that makes the likeliest path of the arm.
+
+    Args:
+        numbers: numbers of the frames, ascending.
+        postures: of each frame, postures (S, 7) that were fitted to it [rad].
+        agreements: of each frame, shares (S,) of their contours on edges of the image.
+    """
+    own = [_AGREEMENT_NATS * shares for shares in agreements]
+    steps = []
+    for (first, before), (second, after) in pairwise(zip(numbers, postures, strict=True)):
+        sigma = _JOINT_SIGMA_RAD * (second - first) ** 0.5
+        distance = np.square((before[:, None] - after[None]) / sigma).sum(axis=-1)
+        steps.append(-np.minimum(0.5 * distance, _JOINT_CAP))
+    return _likeliest_states(own, [step.T for step in steps])
 
 
 def likeliest_turns(grid_rad: Array, log_likelihood: Array, change_rad: Array) -> tuple[Array, Array]:

@@ -7,13 +7,14 @@ from functools import cached_property
 import numpy as np
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import pose_difference
+from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter, ArmView
 from kinebench_drake.grounding.registration.fit import finger_or_default
 from kinebench_drake.grounding.registration.image import GradientImages
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import BATCH
+from kinebench_drake.grounding.tracking.markov import likeliest_postures
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import CLOSE_MARGIN, CLOSE_SIZE, Crop, GripperView
 from kinebench_drake.io.frames import Frames
@@ -25,6 +26,10 @@ _GOOD_OVERLAP = 0.8
 """Overlap of the mask from which on a pose whose arm agrees is not doubtful."""
 _MIN_COVERAGE = 0.6
 """Least share of a gripper fitted to edges that shows the robot: without it 30 % of absent ones are tracked."""
+_LEAST_COVERAGE = 0.4
+"""The same where the fit starts from the path of the arm: of absent ones ... are tracked."""
+_PATH_RAD = 0.3
+"""Largest difference of a joint from the path of the arm for which no other fit is tried [rad]."""
 _SMALL_M = 0.0025
 """Median change of a pose by a fit to edges alone up to which they confirm the network's poses, too [m]."""
 _FAR_GAIN = 0.18
@@ -87,6 +92,7 @@ class EdgeRefinement:
         self._silhouette = silhouette
         self._sharp: dict[int, tuple[ArmFit, ArmFit]] = {}  # by frame: fit to the cells, and to cells and edges
         self._reached: set[int] = set()  # frames whose pose comes from following the arm
+        self._fits: dict[int, list[FramePose]] = {}  # poses that edges confirm, by frame number
 
     @cached_property
     def is_familiar(self) -> bool:
@@ -126,6 +132,10 @@ class EdgeRefinement:
         if self.is_familiar:
             self._sharpen()
             return
+        for step in (1, -1):
+            self._choose_path()
+            self._continue_path(step)
+        self._choose_path()
         for i, pose in self.poses.items():  # where the edges do not confirm a pose, hand and arm do not agree
             if i not in self.confirmed and pose.arm is not None and not pose.from_prior:
                 self.poses[i] = replace(pose, arm=replace(pose.arm, agrees=False))
@@ -153,13 +163,55 @@ class EdgeRefinement:
         if pose is None:
             return
         self.poses[number] = pose
-        self._keep_better(number, fitter.refine_all(arm.q[None], [self._view(number)], [images[1]], arm.points)[0])
+        fit = fitter.refine_all(arm.q[None], [self._view(number)], [images[1]], arm.points, may_turn=False)[0]
+        self._keep_better(number, fit, _LEAST_COVERAGE)
         if not self._is_sure(number) or (old is not None and _agreement(self.poses[number]) < _agreement(old)):
             del self.poses[number]
             if old is not None:
                 self.poses[number] = old
         else:
             self._reached.add(number)
+
+    def _choose_path(self) -> None:
+        """Take the poses, of all that edges confirm, that make the likeliest path of the arm."""
+        numbers = sorted(self._fits)
+        postures = [np.stack([pose.arm.q for pose in self._fits[i] if pose.arm is not None]) for i in numbers]
+        agreements = [np.array([_agreement(pose) for pose in self._fits[i]]) for i in numbers]
+        if numbers:
+            for i, k in zip(numbers, likeliest_postures(numbers, postures, agreements), strict=True):
+                self.poses[i] = self._fits[i][k]
+
+    def _continue_path(self, step: int) -> None:
+        """Fit frames from where the path of the frames before (step 1) or after (-1) leads, where theirs leaves it."""
+        path: list[tuple[int, Array]] = []
+        for i in range(len(self._images))[::step]:
+            pose = self.poses.get(i)
+            if pose is not None and pose.from_prior:
+                path = []
+                continue
+            own = pose.arm.q if pose is not None and pose.arm is not None and _agreement(pose) else None
+            predicted = _extrapolate(path, i)
+            if predicted is not None and (own is None or np.abs(own - predicted).max() > _PATH_RAD):
+                fit = self._fit_from(i, predicted)
+                if fit is not None:
+                    path.append((i, fit.q))
+                    continue
+                path = path if own is None else []
+            if own is not None:
+                path.append((i, own))
+
+    def _fit_from(self, number: int, q: Array) -> ArmFit | None:
+        """Return the fit of a frame from a posture (7,) [rad], and note it; None if the edges do not confirm it."""
+        fitter = self._fitter.at([number])
+        pose = self._measure({number: Crop.of_gripper(fitter.hand(q), CLOSE_MARGIN, CLOSE_SIZE)}).get(number)
+        if pose is None:
+            return None
+        view = ArmView.of(pose.hand, pose.view, self._wide[number])
+        [fit] = fitter.refine_all(q[None], [view], [self._images[number]], may_turn=False)
+        if fit is None or np.abs(fit.q - q).max() > _PATH_RAD:
+            return None
+        fitted = self._confirm(number, pose, fit, _LEAST_COVERAGE)
+        return None if fitted is None else fit
 
     def _is_less_sure(self, number: int, near: int) -> bool:
         """Return whether a frame is not sure, or the edges agree less with its arm than with that of a sure frame."""
@@ -223,11 +275,29 @@ class EdgeRefinement:
     def _view(self, number: int) -> ArmView:
         return ArmView.of(self.poses[number].hand, self.poses[number].view, self._wide[number])
 
-    def _keep_better(self, number: int, arm: ArmFit | None) -> None:
+    def _keep_better(self, number: int, arm: ArmFit | None, least_coverage: float = _MIN_COVERAGE) -> None:
         """Replace the pose of a frame by a fit that the edges agree with better."""
         pose = self.poses[number]
-        if arm is None or not arm.agrees or arm.edge_agreement <= _agreement(pose):
-            return
+        fitted = None if arm is None else self._confirm(number, pose, arm, least_coverage)
+        if fitted is not None and _agreement(fitted) > _agreement(pose):
+            self.poses[number] = fitted
+
+    def _confirm(self, number: int, pose: FramePose, arm: ArmFit, least_coverage: float) -> FramePose | None:
+        """Return the pose with a fit that edges and mask confirm, and note it; None if they do not."""
         hand = pose.view, arm.X_CH, finger_or_default(arm.finger_m)
-        if self._silhouette.coverage(*hand) >= _MIN_COVERAGE:
-            self.poses[number] = pose.with_arm(arm, self._silhouette.overlap(*hand))
+        if not arm.agrees or self._silhouette.coverage(*hand) < least_coverage:
+            return None
+        fitted = pose.with_arm(arm, self._silhouette.overlap(*hand))
+        self._fits.setdefault(number, []).append(fitted)
+        return fitted
+
+
+def _extrapolate(path: Sequence[tuple[int, Array]], number: int) -> Array | None:
+    """Return the posture (7,) to which a path of postures leads in a frame [rad]; None if its end is too far away."""
+    if not path or abs(number - path[-1][0]) > _FOLLOWED_FRAMES:
+        return None
+    last, q = path[-1]
+    if len(path) == 1 or abs(last - path[-2][0]) > _FOLLOWED_FRAMES:
+        return q
+    before, q_before = path[-2]
+    return np.asarray(q + (q - q_before) * (number - last) / (last - before))

@@ -192,7 +192,7 @@ def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:
 def _open_rows(rows: Sequence[SampleRow]) -> dict[str, list[str]]:
     """Return the reasons of the rows that are undecided, unmeasurable or broken, by these words."""
     return {
-        "undecided": [
+        "feasible undecided": [
             reason for row in rows if row.status is Status.OK and (reason := row.null_reasons.get("feasible"))
         ],
         **{

@@ -50,9 +50,19 @@ _GROUPS = {
     "Gate": ("fail_on", "fail_under"),
 }
 """Options of `score`, `ground` and `audit` by their purpose, in the order of the help."""
+
+
+def _needs_no_output(ctx: click.Context, param: click.Parameter, is_dry: bool) -> bool:
+    """Make --out optional where nothing is written."""
+    if is_dry:
+        ctx.default_map = {**(ctx.default_map or {}), "out": "."}
+    return is_dry
+
+
 _dry_run_option = click.option(
-    "--dry-run", is_flag=True, help="List samples, frame periods and cameras; measure and write nothing."
-)
+    "--dry-run", is_flag=True, is_eager=True, callback=_needs_no_output,
+    help="List samples, frame periods, cameras and first frames; measure and write nothing. --out is not needed.",
+)  # fmt: skip
 
 
 @click.command(
@@ -63,7 +73,7 @@ _dry_run_option = click.option(
         "  kinebench-drake score videos/ --out results/\n"
         "  kinebench-drake score videos/manifest.jsonl --out results/ --jobs 4 --tag run=7\n"
         "  kinebench-drake score episode.mp4 --out results/ --frame-period 0.2 --overlay\n"
-        "  kinebench-drake score videos/ --out results/ --dry-run\n"
+        "  kinebench-drake score videos/ --dry-run\n"
         "  kinebench-drake score models/ --out results/ --model-from folder   # models/wan/a.mp4, ...\n"
         "  kinebench-drake score lerobot-dataset/ --out results/ --camera-key observation.images.front\n"
         "  kinebench-drake score heldout/manifest.jsonl --out results/ --masks heldout --depth heldout"
@@ -81,8 +91,9 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     WorldArena, EWMBench or Dream.exe, a manifest.jsonl, or hf://datasets/ORG/NAME@REVISION of the Hugging Face Hub. A
     camera.json beside the videos gives their camera (docs/formats.md).
 
-    Clips that a model resized, cropped or stretched: save the model's first frame as ID.png beside ID.mp4. The change
-    is undone then; without it such a clip takes minutes, and may stay undecided (docs/footage.md).
+    Clips that a model resized, cropped or stretched: save the picture that the model was given, not a frame of the
+    clip, as ID.png beside ID.mp4. The change is undone then; without it such a clip takes minutes, and may stay
+    undecided (docs/footage.md).
 
     --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
     ID.npy or a folder ID/ for every video (docs/overrides.md), or is a demonstration folder with its truth.
@@ -215,11 +226,16 @@ def _score(config: ScoreConfig, *, dry_run: bool) -> int:
     if not dry_run:
         return run(lambda observer: score_videos(config, observer), config.out)
     rows = []
-    for row in plan_videos(config, ProgressView("samples")):
+    for sample, row in plan_videos(config, ProgressView("samples")):
         rows.append(row)
+        picture = []
+        if sample.first_frame is not None:
+            picture = [f"given picture: {sample.first_frame.name}"]
+        elif row.status is Status.OK and not sample.camera_source.is_named:
+            picture = [f"no {row.id}.png: minutes if resized or cropped"]
         size = f"{row.frames} frames of {row.width} x {row.height} px" if row.status is Status.OK else str(row.reason)
         labels = [f"{key} {value}" for key, value in (("task", row.task), ("model", row.model)) if value is not None]
-        echo("; ".join([f"{row.id}: {size}", *input_lines([row]), *labels]))
+        echo("; ".join([f"{row.id}: {size}", *input_lines([row]), *picture, *labels]))
     readable = [row for row in rows if row.status is Status.OK]
     echo(f"{len(readable)} of {len(rows)} samples can be read; nothing was measured or written")
     for warning in row_warnings(rows):

@@ -95,7 +95,7 @@ def find_collisions(
 
     `value` is the least distance [m], negative in penetration; `limit` the least allowed distance. `own` and `table`
     are the distances (T,) along the joint path, `q_smooth` (T, 7) is the smoothed path [rad]; the track has the finger
-    gaps.
+    gaps. Where a gap is unknown, the distances are those with open fingers, and a collision with these alone is none.
     """
     limit = -contact_tolerance(noise)
     for kind, clearance, distance in (
@@ -104,7 +104,10 @@ def find_collisions(
     ):
         deep = np.nan_to_num(clearance.distance_m) < limit
         if deep.any():  # the smoothed path is checked only where the path itself collides, which is rare
-            smooth = distance(q_smooth[deep], track.finger_width_m[deep]).distance_m
+            width = track.finger_width_m[deep]
+            smooth = distance(q_smooth[deep], width).distance_m
+            if np.isnan(width).any():
+                smooth = np.maximum(smooth, distance(q_smooth[deep], np.nan_to_num(width)).distance_m)
             deep[deep] = smooth < -max(CONTACT_TOLERANCE_M, noise.offset_m)
         for run in segments(deep):
             yield Violation.of_run(kind, run, None, float(clearance.distance_m[run].min()), limit)

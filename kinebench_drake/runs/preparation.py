@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from enum import Enum
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,6 +33,9 @@ from kinebench_drake.track import Domain, GripperTrack, InitialState
 if TYPE_CHECKING:  # loads torch and Open3D
     from kinebench_drake.grounding.video import Grounder
     from kinebench_drake.grounding.video_result import GroundingResult
+
+_SEVERAL_VIEWS = 2.0
+"""Ratio of width to height from which on a frame may show several views."""
 
 
 def ground_sample(
@@ -186,6 +190,11 @@ def row_warnings(rows: Sequence[SampleRow]) -> list[str]:
             sum(row.base_frame_reason is not None for row in measured),
             "no base frame (coordinates of the robot's foot) in {}: reach, limits and verdicts are undecided there, "
             "with the reason",
+        ),
+        (
+            sum((row.width or 0) >= _SEVERAL_VIEWS * (row.height or inf) for row in rows),
+            "{} at least twice as wide as high: where a frame shows several views side by side, cut out the one that "
+            "shows the arm (docs/faq.md)",
         ),
         (
             count("frame_period_source", PeriodSource.BENCHMARK),

@@ -20,6 +20,7 @@ import numpy as np
 
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, name_options
 from kinebench_drake.formats.trajectories.columns import (
+    PROPOSAL,
     complete,
     find_poses,
     is_documented,
@@ -166,6 +167,8 @@ PROPOSED = 0.95
 """Cost below which a reading is proposed that no name states: wrong readings of recordings have 0.99 or more."""
 PRINTED = 5
 """Further readings that are printed."""
+_ANY_RATE_HZ = 20.0
+"""Rate at which columns are compared where a file has no times [1/s]."""
 
 UNFIT = 2.0
 """Cost above that of any right reading: feasible motions and planted faults have at most 1.8."""
@@ -546,7 +549,11 @@ def assess_path(source: Path, options: RobotOptions, make_resources: ResourcesFa
     except InputError as error:
         assessment = _propose_joints(tools, samples)
         if assessment is None:
-            raise UsageError(f"{sample.video}: {error}") from None
+            raise UsageError(
+                f"{sample.video}: {str(error).removesuffix(PROPOSAL)}; nor do seven consecutive columns fit the robot "
+                'as joint angles. A reading file lists the columns: {"columns": ["A", "B", ...], "layout": ...}, see '
+                "docs/formats.md"
+            ) from None
     if assessment is None:
         raise UsageError(f"{sample.video}: is too short to tell one reading from another")
     return assessment
@@ -555,12 +562,16 @@ def assess_path(source: Path, options: RobotOptions, make_resources: ResourcesFa
 def _propose_joints(tools: Resources, samples: tuple[TrajectorySample, ...]) -> Assessment | None:
     """Return the seven consecutive numbers that fit the robot best as joint angles; None if none fit."""
     with open_table(samples[0]) as table:
-        choices = [TrajectoryOptions(reading=reading) for reading in list_joint_rows(table)]
+        readings = list_joint_rows(table)
+        rates_hz = [_ANY_RATE_HZ if complete(table, reading).time is None else None for reading in readings]
+    choices = [TrajectoryOptions(reading=r, rate_hz=rate) for r, rate in zip(readings, rates_hz, strict=True)]
     assessed = [assess_readings(tools, samples, choice, thorough=True) for choice in choices]
-    fitting = [one for one in assessed if one is not None and one.best.cost < PROPOSED]
+    # an offset could be added to any columns
+    best = [one.by_names if "offset" in one.best.changed else one.best for one in assessed if one is not None]
+    fitting = [candidate for candidate in best if candidate.cost < PROPOSED]
     if not fitting:
         return None
-    chosen = min(fitting, key=lambda one: one.best.cost)
     name = "joint angles in seven consecutive columns, a proposal by their fit: no name says so"
-    best = replace(chosen.best, name=name)
-    return replace(chosen, by_names=best, best=best)
+    first, *others = sorted(fitting, key=lambda candidate: candidate.cost)
+    first = replace(first, name=name)
+    return Assessment(by_names=first, best=first, others=tuple(others))

@@ -109,15 +109,16 @@ def judge_possible(tracks: Sequence[GripperTrack], tools: Resources, table_heigh
     return replace(results[0], violations=tuple(v for v in results[0].violations if v.kind in kinds))
 
 
-def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Iterator[SampleRow]:
-    """Read the videos of a run and yield a row of each with size, frame period and camera; nothing is written."""
+def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Iterator[tuple[VideoSample, SampleRow]]:
+    """Read the videos of a run and yield each with a row of size, frame period and camera; nothing is written."""
     observer = observer or NullRunObserver()
     inputs = find_videos(config)
     for warning in inputs.warnings:
         observer.warn(warning)
     reader = _VideoReader(config=config, overrides=config.overrides())
     tools = reader.setup()
-    yield from (reader.row(sample, tools, hash_sample(reader, sample)) for sample in config.select(inputs.samples))
+    for sample in config.select(inputs.samples):
+        yield sample, reader.row(sample, tools, hash_sample(reader, sample))
 
 
 def find_videos(config: ScoreConfig) -> VideoSamples:

@@ -4,6 +4,8 @@ import json
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from kinebench_drake.errors import SetupError, UsageError
@@ -27,18 +29,21 @@ def test_a_dry_run_lists_samples_and_writes_nothing(film, program, tmp_path):
     film("videos/a.mp4", fps=10)
     (tmp_path / "videos" / "b.mp4").write_text("text")
     film("videos/c.mp4")
-    dry_run = ("score", tmp_path / "videos", "--out", tmp_path / "out", "--dry-run")
+    dry_run = ("score", tmp_path / "videos", "--dry-run")
     code, out, _ = program(*dry_run, "--limit", 2)
     a, b, *totals = out.splitlines()
     period = "frame period: 0.1 s, 1 / fps of the file"
     camera = "camera: one known by name where the arm confirms it, else estimated from the arm"
-    assert a == f"a: 8 frames of 96 x 96 px; {period}; {camera}"
+    assert a == f"a: 8 frames of 96 x 96 px; {period}; {camera}; no a.png: minutes if resized or cropped"
     assert b.startswith("b: b.mp4: ")
     assert totals == ["1 of 2 samples can be read; nothing was measured or written", period, camera]
     assert code == 0
     _, resampled, _ = program(*dry_run, "--task-duration", 0.8)
     assert resampled.startswith("a: 5 frames of 96 x 96 px; frame period: 0.2 s")
-    assert not (tmp_path / "out").exists()
+    cv2.imwrite(str(tmp_path / "videos" / "a.png"), np.zeros((96, 96, 3), np.uint8))
+    _, pictured, _ = program(*dry_run, "--limit", 1)
+    assert pictured.splitlines()[0] == f"a: 8 frames of 96 x 96 px; {period}; {camera}; given picture: a.png"
+    assert not [*tmp_path.rglob("*.jsonl")]
 
 
 def test_first_frames_of_pending_rounds_are_not_scored_as_a_video(film, program, tmp_path):

@@ -228,6 +228,22 @@ def test_a_gripper_pushed_into_the_table_collides_by_its_depth(plant: ArmPlant, 
     assert _number(higher.metrics, "table_distance_min_m") == pytest.approx(violation.value + 0.05, abs=1e-9)
 
 
+def test_where_the_gap_is_unknown_open_fingers_alone_do_not_collide(plant: ArmPlant, judge: TrackJudge) -> None:
+    X = np.tile(plant.forward(rest_q()), (40, 1, 1))
+    X[:, :3, :3] = X[0, :3, :3] @ rotation_exp(np.array([0.5, 0.0, 0.0]))  # one finger lower than the other
+    tilted = replace(gripper(0.2 * np.arange(40), X), finger_width_m=np.full(40, 0.08))
+    left_m = _number(judge.judge_poses(tilted).metrics, "table_distance_min_m")
+    X = X.copy()
+    X[:, 2, 3] -= (left_m + 0.008) * np.sin(np.pi * np.arange(40) / 39.0) ** 2
+    low = replace(tilted, X_BG=X)
+    assert _kinds(judge.judge_poses(low)) == {ViolationKind.TABLE_COLLISION}
+    assert judge.judge_poses(replace(low, finger_width_m=np.full(40, np.nan))).feasible is True
+    X = X.copy()
+    X[:, 2, 3] -= 0.03 * np.sin(np.pi * np.arange(40) / 39.0) ** 2  # the hand's middle as well
+    lower = replace(low, X_BG=X, finger_width_m=np.full(40, np.nan))
+    assert _kinds(judge.judge_poses(lower)) == {ViolationKind.TABLE_COLLISION}
+
+
 def test_given_angles_that_fold_the_arm_into_itself_collide(plant: ArmPlant, judge: TrackJudge) -> None:
     q = np.tile(rest_q(), (40, 1))
     s = np.sin(np.pi * np.arange(40) / 39.0)[:, None] ** 2

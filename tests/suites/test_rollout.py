@@ -24,7 +24,7 @@ def test_an_expert_of_an_unknown_task_is_a_usage_error() -> None:
 
 def test_the_reason_of_a_failure_names_the_false_conditions() -> None:
     conditions = {"above": True, "still": False, "released": False}
-    assert TaskOutcome(success=False, progress=0.5, conditions=conditions).reason == "not still, released"
+    assert TaskOutcome(success=False, progress=0.5, conditions=conditions).reason == "not still, not released"
     assert TaskOutcome(success=True, progress=1.0, conditions=dict.fromkeys(conditions, True)).reason == ""
 
 

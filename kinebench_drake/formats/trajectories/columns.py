@@ -54,6 +54,8 @@ _ROTATION_ARRAYS = (
     (re.compile(r".*(mat|rot|ori).*"), 9, "matrix_rows"),
 )
 """Arrays of rotations: names, numbers and layout."""
+PROPOSAL = "; `kinebench-drake reading PATH` proposes them"
+"""End of the message on columns whose names say nothing."""
 _MOST_ROWS = 16
 """Readings of seven consecutive numbers that are tried."""
 
@@ -94,7 +96,7 @@ def is_documented(table: ColumnTable, reading: Reading) -> bool:
     """Return True if all names of a complete reading are those that docs/formats.md defines, with units and frames."""
     columns = reading.columns or ()
     return (
-        reading.time in (None, "t_s")
+        (reading.time in (None, "t_s") or nanoseconds_beside(table, str(reading.time)) is not None)
         and all(_CONTRACT.fullmatch(name) for name in columns)
         and table.size(columns) in (N_JOINTS, 16)
     )
@@ -140,8 +142,8 @@ def _by_names(table: ColumnTable, wanted: Reading) -> Reading:
         several = f'{len(arms)} arms ({", ".join(arms)}): $reading FILE with {{"arm": "{telling[0]}"}} chooses one'
         raise InputError(f"no column is certain to hold the seven joint angles of one arm; there are {several}")
     raise InputError(
-        f"no column is known to hold seven joint angles or a pose; found {table.describe()}; name it in $reading FILE, "
-        'such as {"columns": "COLUMN[0:7]", "layout": "joints"}; `kinebench-drake reading PATH` proposes one'
+        f"no column is known to hold seven joint angles or a pose; found {table.describe()}; name some in $reading FILE"
+        + PROPOSAL
     )
 
 

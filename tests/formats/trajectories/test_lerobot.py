@@ -163,7 +163,7 @@ def test_finger_joints_and_widths_in_metres_become_the_finger_width(dataset, q):
 def test_ambiguous_columns_are_refused_with_the_key_that_names_them(columns):
     with pytest.raises(InputError, match="no column is known") as caught:
         complete(table(**columns), Reading())
-    assert '$reading FILE, such as {"columns": "COLUMN[0:7]"' in str(caught.value)
+    assert "name some in $reading FILE; `kinebench-drake reading PATH` proposes them" in str(caught.value)
     for name in columns:
         assert name.replace("__", ".") in str(caught.value)
 
