@@ -5,6 +5,8 @@ as the camera sees them. So the place, the length and the opening of the gripper
 decoder draws the hand about the wrist's point and the fingers about the tips, each of the right size; the points at the
 ends of the hand only turn it. Frame 0 is the picture that was given; its numbers are the encoder's estimate.
 
+A spliced clip changes from one sample of the dynamics to another, at once or by a cross-fade: the gripper jumps.
+
     ID.mp4              17 fps; ID = the episode's _ name of the dynamics
     painted.jsonl       one object a clip (`PaintedClip`)
     manifest.jsonl      what `kinebench-drake score` needs
@@ -17,6 +19,8 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import torch
+from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from benchmarks.markdown import table
@@ -70,6 +74,33 @@ _WRIST = 10
 """First of the gripper's six points among those of the robot."""
 
 
+SAMPLES = 6
+"""Samples of the dynamics, of which a spliced clip takes two."""
+SPLICE_M = (0.03, 0.08)
+"""Range of the lengths of spliced jumps [m]."""
+SPLICE_FRAMES = range(6, 43)
+"""Frames from which the second sample may show."""
+FADES = (0, 2, 0, 3)
+"""Frames of the cross-fades of spliced clips, in turn; 0: a hard cut."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Splice:
+    """Change from one sample of the dynamics to another."""
+
+    frame: int
+    """First frame that shows the second sample."""
+    faded: int
+    """Frames that show both samples, cross-faded; 0: a hard cut."""
+    length_m: float
+    """Displacement of the TCP over the seam, less what the steps before and after explain [m]."""
+
+    @property
+    def frames(self) -> slice:
+        """Faded frames, and the first after them."""
+        return slice(self.frame, self.frame + self.faded + 1)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaintOrder:
     """Clip to paint."""
@@ -78,11 +109,13 @@ class PaintOrder:
     """Episode whose first frame the clip continues."""
     dynamics: str
     """Name of the dynamics' weights."""
+    faded: int | None = None
+    """Frames of the cross-fade of a spliced clip, 0 for a hard cut; None: the clip is not spliced."""
 
     @property
     def id(self) -> str:
         """Name of the clip."""
-        return f"{self.spec.id}_{self.dynamics}"
+        return f"{self.spec.id}_{self.dynamics}" + ("" if self.faded is None else f"_spliced{self.faded}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,6 +134,8 @@ class PaintedClip:
     """(T,) distance from the wrist to the middle of the finger tips, over the right one."""
     finger_width_m: Annotated[Array, Stored(".5f")]
     """(T,) gap between the finger pads, negative where the fingers have changed sides [m]."""
+    splice: Splice | None = None
+    """Where the clip is spliced; a faded frame has the numbers of the sample that prevails."""
 
     def manifest_row(self) -> dict[str, object]:
         """Return its line of `manifest.jsonl`."""
@@ -139,9 +174,19 @@ class Painter:
         if order.dynamics not in self._generators:
             self._generators[order.dynamics] = self._make_generator(order.dynamics)
         model = self._generators[order.dynamics]
-        sampling_seed = int(generator("painted", order.id).integers(2**31))
+        rng = generator("painted", order.id)
+        sampling_seed = int(rng.integers(2**31))
         poses = model.imagine(first, episode.prompt, sampling_seed)
-        write_video(self._out / f"{order.id}.mp4", model.paint(first, poses), FPS)
+        splice = None
+        if order.faded is None:
+            video = model.paint(first, poses)
+        else:
+            others = [model.imagine(first, episode.prompt, sampling_seed + k) for k in range(1, SAMPLES)]
+            splice, one, other = choose_splice(torch.stack([poses, *others]), order.faded, rng)
+            video = paint_splice(model, first, one, other, splice)
+            seam = splice.frame + (splice.faded + 1) // 2
+            poses = torch.cat([one[:seam], other[seam:]])
+        write_video(self._out / f"{order.id}.mp4", video, FPS)
         p_C, size, finger_width_m = measure_gripper(poses.numpy())
         return PaintedClip(
             id=order.id,
@@ -153,6 +198,7 @@ class Painter:
             p_C=p_C,
             size=size,
             finger_width_m=finger_width_m,
+            splice=splice,
         )
 
     def close(self) -> None:
@@ -160,11 +206,52 @@ class Painter:
         self._simulators.close()
 
 
-def paint_orders(count: int, dynamics: Sequence[str]) -> list[PaintOrder]:
-    """Return the clips of `count` first frames, the tasks in turn, each continued by each of the dynamics."""
+def choose_splice(
+    samples: torch.Tensor, faded: int, rng: np.random.Generator
+) -> tuple[Splice, torch.Tensor, torch.Tensor]:
+    """Choose two of samples (S, T, POSE) and where to change from one to the other so that the TCP jumps.
+
+    It moves farther than in the steps around, by `SPLICE_M[0]` at least, and off their mean by a length in that range.
+    """
+    p_C = np.stack([measure_gripper(each.numpy())[0] for each in samples])
+    steps = np.diff(p_C, axis=1)
+    frames = np.array(SPLICE_FRAMES)
+    before = steps[:, None, frames - 2]
+    after = steps[None, :, frames + faded]
+    move = (p_C[None, :, frames + faded] - p_C[:, None, frames - 1]) / (faded + 1)
+    length_m = (faded + 1) * np.linalg.norm(move - 0.5 * (before + after), axis=-1)
+    usual = 0.5 * (np.linalg.norm(before, axis=-1) + np.linalg.norm(after, axis=-1))
+    excess_m = (faded + 1) * (np.linalg.norm(move, axis=-1) - usual)
+    off_m = np.abs(length_m - rng.uniform(*SPLICE_M))
+    off_m[(excess_m < SPLICE_M[0]) | (length_m > SPLICE_M[1])] = np.inf
+    a, b, at = np.unravel_index(np.argmin(off_m), off_m.shape)
+    frame = int(frames[at])
+    return Splice(frame=frame, faded=faded, length_m=float(length_m[a, b, at])), samples[a], samples[b]
+
+
+def paint_splice(
+    model: Generator, first: NDArray[np.uint8], one: torch.Tensor, other: torch.Tensor, splice: Splice
+) -> NDArray[np.uint8]:
+    """Return the video of pose numbers (T, POSE) of one sample, and from the splice on of the other."""
+    faded = slice(splice.frame, splice.frame + splice.faded)
+    video = model.paint(first, torch.cat([one[: faded.stop], other[faded.stop :]]))
+    second = model.paint(first, torch.cat([other[:1], other[faded]]))[1:]
+    share = (np.arange(1, splice.faded + 1) / (splice.faded + 1))[:, None, None, None]
+    video[faded] = np.round((1.0 - share) * video[faded] + share * second)
+    return video
+
+
+def paint_orders(count: int, dynamics: Sequence[str], *, is_spliced: bool = False) -> list[PaintOrder]:
+    """Return the clips of `count` first frames, the tasks in turn, each continued by each of the dynamics.
+
+    Half of the spliced ones are hard cuts, half are cross-faded.
+    """
     specs = load_suite(3).specs("test", -(-count // len(TASKS)), tasks=TASKS, offset=FIRST_SEED)
     in_turn = sorted(specs, key=lambda spec: spec.seed)[:count]
-    return [PaintOrder(spec=spec, dynamics=name) for spec in in_turn for name in dynamics]
+    # shifted by one after each turn of the tasks
+    fades = [FADES[(k + k // len(FADES)) % len(FADES)] if is_spliced else None for k in range(count)]
+    pairs = list(zip(in_turn, fades, strict=True))
+    return [PaintOrder(spec=spec, dynamics=name, faded=faded) for spec, faded in pairs for name in dynamics]
 
 
 def paint_clips(weights: Path, orders: Sequence[PaintOrder], out: Path, jobs: int, observer: Observer) -> None:

@@ -255,9 +255,10 @@ def painted() -> None:
     "--dynamics", default="dynamics", show_default=True, help="Names of the dynamics' weights.", metavar="NAME,..."
 )
 @click.option("--count", type=COUNT, default=60, show_default=True, help="First frames, tasks in turn.", metavar="N")
+@click.option("--splice", is_flag=True, help="Change from one sample to another in each clip: the gripper jumps.")
 @click.option("--out", type=FOLDER, required=True, help="Folder of the clips; an earlier run is resumed.")
 @jobs_option
-def painted_make(weights: Path, dynamics: str, count: int, out: Path, jobs: int) -> None:
+def painted_make(weights: Path, dynamics: str, count: int, splice: bool, out: Path, jobs: int) -> None:
     """Continue first frames of suite 3 by each of the dynamics, and write the clips with their numbers.
 
     Score the folder's manifest.jsonl next.
@@ -266,7 +267,7 @@ def painted_make(weights: Path, dynamics: str, count: int, out: Path, jobs: int)
     from kinebench_drake.cli.progress import ProgressView
 
     with ProgressView("clips") as view:
-        paint_clips(weights, paint_orders(count, dynamics.split(",")), out, jobs, view)
+        paint_clips(weights, paint_orders(count, dynamics.split(","), is_spliced=splice), out, jobs, view)
     click.echo(out)
 
 
