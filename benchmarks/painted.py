@@ -89,16 +89,22 @@ class Splice:
     """Change from one sample of the dynamics to another."""
 
     frame: int
-    """First frame that shows the second sample."""
+    """First frame in which the second sample prevails."""
     faded: int
     """Frames that show both samples, cross-faded; 0: a hard cut."""
     length_m: float
-    """Displacement of the TCP over the seam, less what the steps before and after explain [m]."""
+    """Step of the TCP from the first to the second sample, off the mean of the steps before and after [m]."""
+
+    @property
+    def faded_frames(self) -> slice:
+        """Frames that show both samples."""
+        start = self.frame - self.faded // 2
+        return slice(start, start + self.faded)
 
     @property
     def frames(self) -> slice:
-        """Faded frames, and the first after them."""
-        return slice(self.frame, self.frame + self.faded + 1)
+        """Frames of the jump: those that show both samples, and the first after them."""
+        return slice(self.faded_frames.start, self.faded_frames.stop + 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,8 +190,7 @@ class Painter:
             others = [model.imagine(first, episode.prompt, sampling_seed + k) for k in range(1, SAMPLES)]
             splice, one, other = choose_splice(torch.stack([poses, *others]), order.faded, rng)
             video = paint_splice(model, first, one, other, splice)
-            seam = splice.frame + (splice.faded + 1) // 2
-            poses = torch.cat([one[:seam], other[seam:]])
+            poses = torch.cat([one[: splice.frame], other[splice.frame :]])
         write_video(self._out / f"{order.id}.mp4", video, FPS)
         p_C, size, finger_width_m = measure_gripper(poses.numpy())
         return PaintedClip(
@@ -217,23 +222,22 @@ def choose_splice(
     steps = np.diff(p_C, axis=1)
     frames = np.array(SPLICE_FRAMES)
     before = steps[:, None, frames - 2]
-    after = steps[None, :, frames + faded]
-    move = (p_C[None, :, frames + faded] - p_C[:, None, frames - 1]) / (faded + 1)
-    length_m = (faded + 1) * np.linalg.norm(move - 0.5 * (before + after), axis=-1)
-    usual = 0.5 * (np.linalg.norm(before, axis=-1) + np.linalg.norm(after, axis=-1))
-    excess_m = (faded + 1) * (np.linalg.norm(move, axis=-1) - usual)
+    after = steps[None, :, frames]
+    move = p_C[None, :, frames] - p_C[:, None, frames - 1]
+    length_m = np.linalg.norm(move - 0.5 * (before + after), axis=-1)
+    usual_m = 0.5 * (np.linalg.norm(before, axis=-1) + np.linalg.norm(after, axis=-1))
     off_m = np.abs(length_m - rng.uniform(*SPLICE_M))
-    off_m[(excess_m < SPLICE_M[0]) | (length_m > SPLICE_M[1])] = np.inf
+    off_m[(np.linalg.norm(move, axis=-1) - usual_m < SPLICE_M[0]) | (length_m > SPLICE_M[1])] = np.inf
     a, b, at = np.unravel_index(np.argmin(off_m), off_m.shape)
-    frame = int(frames[at])
-    return Splice(frame=frame, faded=faded, length_m=float(length_m[a, b, at])), samples[a], samples[b]
+    splice = Splice(frame=int(frames[at]), faded=faded, length_m=float(length_m[a, b, at]))
+    return splice, samples[a], samples[b]
 
 
 def paint_splice(
     model: Generator, first: NDArray[np.uint8], one: torch.Tensor, other: torch.Tensor, splice: Splice
 ) -> NDArray[np.uint8]:
     """Return the video of pose numbers (T, POSE) of one sample, and from the splice on of the other."""
-    faded = slice(splice.frame, splice.frame + splice.faded)
+    faded = splice.faded_frames
     video = model.paint(first, torch.cat([one[: faded.stop], other[faded.stop :]]))
     second = model.paint(first, torch.cat([other[:1], other[faded]]))[1:]
     share = (np.arange(1, splice.faded + 1) / (splice.faded + 1))[:, None, None, None]
