@@ -290,7 +290,8 @@ def find_jumps(clip: PaintedClip) -> list[slice]:
     """Return the jumps of the exact path by the rule of `find_teleports`."""
     every = np.ones(len(clip.p_C), dtype=np.bool_)
     t_s = FRAME_PERIOD_S * np.arange(len(clip.p_C), dtype=np.float64)
-    return segments(find_teleports(clip.p_C, every, every, t_s).score >= 1.0)
+    exact = np.zeros((len(clip.p_C), 3, 3))
+    return segments(find_teleports(clip.p_C, exact, every, ~every, t_s).score >= 1.0)
 
 
 def find_odd_steps(clip: PaintedClip) -> list[slice]:

@@ -25,7 +25,13 @@ from kinebench_drake.grounding.anomaly.appearance import (
 )
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, find_camera_motion
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
-from kinebench_drake.grounding.anomaly.jumps import find_finger_faults, find_freezes, find_teleports, still_frames
+from kinebench_drake.grounding.anomaly.jumps import (
+    find_finger_faults,
+    find_freezes,
+    find_teleports,
+    mixed_frames,
+    still_frames,
+)
 from kinebench_drake.grounding.registration.hand_contour import HandShape
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H, GripperView
@@ -83,6 +89,8 @@ class AnomalyEvidence:
     """(T,) task time [s]."""
     p_C: Array
     """(T, 3) centre of the gripper in the camera frame [m]."""
+    covariance: Array
+    """(T, 3, 3) its covariance [m^2]."""
     confidence: Array
     """(T,) confidence 0..1, 0 without a detection."""
     expected: NDArray[np.bool_]
@@ -104,6 +112,8 @@ class AnomalyEvidence:
     """(T,) shape of the hand's contour; None where unknown, and in familiar videos."""
     still: NDArray[np.bool_]
     """(T,) frames that repeat the one before."""
+    mixed: NDArray[np.bool_]
+    """(T,) frames that mix those before and after; none if the camera moves."""
     motion: CameraMotion
     domain: Domain = Domain.FAMILIAR
 
@@ -152,6 +162,7 @@ def gather_evidence(
     n = len(frames)
     familiar = domain is Domain.FAMILIAR
     p_C = np.full((n, 3), np.nan)
+    covariance = np.full((n, 3, 3), np.nan)
     explained = np.zeros(n)
     width, misfit, residual, scale = (np.full(n, np.nan) for _ in range(4))
     for i, pose in ((i, pose) for i, pose in enumerate(poses) if pose is not None):
@@ -163,6 +174,9 @@ def gather_evidence(
             elif domain is Domain.UNFAMILIAR:
                 explained[i] = max(explained[i], bounds.ABSENT_CELLS * agreement / _ABSENT_AGREEMENT)
         p_C[i] = transform_points(pose.X_CH, GRIPPER_CENTRE_H[None])[0]
+        lever = np.cross(np.eye(3), p_C[i] - pose.X_CH[:3, 3])
+        by_pose = np.vstack([lever, np.eye(3)])
+        covariance[i] = by_pose.T @ pose.covariance @ by_pose
         if familiar and confidence[i] >= _FAIR_CONFIDENCE:
             hand = pose.hand_without_silhouette
             sharp = 2 * hand.finger_sigma_m <= bounds.SHARP_M
@@ -185,6 +199,7 @@ def gather_evidence(
     return AnomalyEvidence(
         t_s=t_s,
         p_C=p_C,
+        covariance=covariance,
         confidence=confidence,
         expected=expect_gripper(p_C, present, camera, wide, X_SA),
         explained=explained,
@@ -195,6 +210,7 @@ def gather_evidence(
         scale=scale,
         shapes=tuple(shapes),
         still=still_frames(frames),
+        mixed=np.zeros(n, dtype=np.bool_) if motion.moves else mixed_frames(frames),
         motion=motion,
         domain=domain,
     )
@@ -217,7 +233,7 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
     detections = (
         _find_vanishing(e),
         find_duplicates(e.other),
-        _without(find_teleports(e.p_C, e.fair, e.good, e.t_s), {a.frame_end + 1 for a in freezes.anomalies}),
+        _without(find_teleports(e.p_C, e.covariance, e.good, e.mixed, e.t_s), {a.frame_end + 1 for a in freezes.anomalies}),
         freezes,
         find_deformations(e.misfit, e.residual) if familiar else find_misshapen(e.shapes),
         find_camera_motion(e.motion),
