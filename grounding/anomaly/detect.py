@@ -233,7 +233,9 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
     detections = (
         _find_vanishing(e),
         find_duplicates(e.other),
-        _without(find_teleports(e.p_C, e.covariance, e.good, e.mixed, e.t_s), {a.frame_end + 1 for a in freezes.anomalies}),
+        _without(
+            find_teleports(e.p_C, e.covariance, e.good, e.mixed, e.t_s), {a.frame_end + 1 for a in freezes.anomalies}
+        ),
         freezes,
         find_deformations(e.misfit, e.residual) if familiar else find_misshapen(e.shapes),
         find_camera_motion(e.motion),

@@ -7,10 +7,14 @@ import torch
 from benchmarks.painted import (
     FAULTS,
     FIRST_SEED,
+    SPLICE_FRAMES,
+    SPLICE_M,
     TASKS,
     TRUTH,
     PaintedClip,
     Painter,
+    Splice,
+    choose_splice,
     compare_faults,
     find_jumps,
     find_odd_steps,
@@ -18,13 +22,15 @@ from benchmarks.painted import (
     find_wrong_sizes,
     measure_gripper,
     paint_orders,
+    paint_splice,
     painted_report,
     read_painted,
 )
 from benchmarks.perception.store import MeasurementStore
 from examples.worldmodel.pack import measure_pose
-from examples.worldmodel.robot import POSE
+from examples.worldmodel.robot import FIELD, NEAR_M, POINTS, POSE, ROBOT
 from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.errors import InputError
 from kinebench_drake.formats.manifest import ManifestEntry
 from kinebench_drake.geometry import invert, transform_points
 from kinebench_drake.io.reader import read_video
@@ -36,7 +42,8 @@ from kinebench_drake.track import GripperTrack
 from tests.rows import make_row
 
 FRAMES = 20
-JUMP, STEP, SIZE, GAP = FAULTS
+WRIST = 10
+JUMP, STEP, CUT, FADED, SIZE, GAP = FAULTS
 
 
 def clip(id="a", dynamics="dynamics", **numbers):
@@ -81,6 +88,56 @@ def test_each_first_frame_is_continued_by_each_dynamics_tasks_in_turn():
     assert [order.spec.task for order in orders[::2]] == [*TASKS, TASKS[0]]
     assert [order.spec.seed for order in orders[::2]] == [FIRST_SEED] * 4 + [FIRST_SEED + 1]
     assert len({order.id for order in orders}) == 10
+
+
+def test_half_of_the_spliced_clips_are_cut_and_half_cross_faded_in_each_task():
+    orders = paint_orders(16, ["one"], is_spliced=True)
+    assert {order.faded for order in paint_orders(4, ["one"])} == {None}
+    for task in TASKS:
+        assert sorted(order.faded for order in orders if order.spec.task == task) == [0, 0, 2, 3]
+
+
+def poses_along(y_m):
+    """Return pose numbers (T, POSE) of a right gripper that moves across the picture."""
+    points = np.zeros((len(y_m), POINTS, 3))
+    points[:, :, 2] = NEAR_M / 0.7 - 1.0
+    points[:, WRIST:ROBOT, 0] = (np.asarray(y_m)[:, None] + [0.0, 0.01, -0.01, 0.0, 0.01, -0.01]) / (0.7 * FIELD)
+    poses = np.zeros((len(y_m), POSE))
+    poses[:, : POINTS * 3] = points.reshape(len(y_m), -1)
+    return torch.tensor(poses, dtype=torch.float32)
+
+
+def test_a_splice_is_a_jump_of_a_length_in_its_range_that_the_steps_around_do_not_explain():
+    start = poses_along(0.002 * np.arange(49))
+    samples = torch.stack([start, *(poses_along(0.002 * np.arange(49) + off) for off in (0.045, 0.2))])
+    splice, one, other = choose_splice(samples, 2, np.random.default_rng(0))
+    assert splice.length_m == pytest.approx(0.045, abs=1e-4)
+    assert SPLICE_M[0] <= splice.length_m <= SPLICE_M[1]
+    assert splice.frame in SPLICE_FRAMES
+    assert {float(one[0, WRIST * 3]), float(other[0, WRIST * 3])} == {float(s[0, WRIST * 3]) for s in samples[:2]}
+    with pytest.raises(InputError, match="no change"):
+        choose_splice(samples[[0, 2]], 2, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(("faded", "levels"), [(0, [1, 2, 3, 104, 105, 106]), (2, [1, 2, 36, 71, 105, 106])])
+def test_a_splice_is_painted_as_a_cut_or_as_a_blend_of_both(faded, levels):
+    class Levels:
+        def paint(self, first, poses):
+            return np.stack([np.full((2, 2, 3), each, np.uint8) for each in poses[:, 0].tolist()])
+
+    one = torch.arange(1.0, 7.0)[:, None]
+    splice = Splice(frame=3, faded=faded, length_m=0.05)
+    video = paint_splice(Levels(), np.zeros((2, 2, 3), np.uint8), one, one + 100, splice)
+    assert video[:, 0, 0, 0].tolist() == levels
+
+
+def test_the_frames_of_a_splice_are_the_faded_ones_and_the_first_after_them():
+    cut, faded = (Splice(frame=10, faded=n, length_m=0.05) for n in (0, 3))
+    assert (cut.frames, faded.frames) == (slice(10, 11), slice(9, 13))
+    for splice, fault, other in ((cut, CUT, FADED), (faded, FADED, CUT)):
+        pair = (clip(splice=splice), row("a", ("teleport", 10, 10)))
+        assert compare_faults(fault, [pair])[0].true == (splice.frames,)
+        assert compare_faults(other, [pair])[0].true == ()
 
 
 class FakeGenerator:
@@ -130,8 +187,9 @@ def test_a_jump_is_off_the_motion_around_it():
     assert find_jumps(jumping(8, 0.1)) == [slice(8, 9)]
     (odd,) = find_odd_steps(jumping(8, 0.1))
     assert odd.start <= 8 < odd.stop
-    assert not find_jumps(jumping(8, 0.035))
     assert find_odd_steps(jumping(8, 0.035)) == [slice(8, 9)]
+    assert not find_jumps(jumping(8, 0.025))
+    assert not find_odd_steps(jumping(8, 0.025))
 
 
 def test_a_wrong_size_lasts_and_a_wrong_gap_is_out_of_range():

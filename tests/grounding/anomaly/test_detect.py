@@ -17,6 +17,7 @@ def clean(reach, t_s):
     return AnomalyEvidence(
         t_s=t_s,
         p_C=reach(),
+        covariance=np.zeros((n, 3, 3)),
         confidence=np.full(n, 0.8),
         expected=np.ones(n, dtype=bool),
         explained=np.full(n, 400.0),
@@ -27,6 +28,7 @@ def clean(reach, t_s):
         scale=1.0 + rng.normal(0, 0.02, n),
         shapes=(None,) * n,
         still=np.zeros(n, dtype=bool),
+        mixed=np.zeros(n, dtype=bool),
         motion=CameraMotion(px=np.zeros(n), R_AC=np.repeat(np.eye(3)[None], n, axis=0), unit_px=1.0),
     )
 
