@@ -244,7 +244,7 @@ def paint_splice(
 ) -> NDArray[np.uint8]:
     """Return the video of pose numbers (T, POSE) of one sample, and from the splice on of the other."""
     faded = splice.faded_frames
-    video = model.paint(first, torch.cat([one[: faded.stop], other[faded.stop :]]))
+    video: NDArray[np.uint8] = model.paint(first, torch.cat([one[: faded.stop], other[faded.stop :]]))
     second = model.paint(first, torch.cat([other[:1], other[faded]]))[1:]
     share = (np.arange(1, splice.faded + 1) / (splice.faded + 1))[:, None, None, None]
     video[faded] = np.round((1.0 - share) * video[faded] + share * second)
