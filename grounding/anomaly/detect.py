@@ -225,16 +225,20 @@ def _side_cosine(pose: FramePose) -> float:
 def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
     """Apply every detector; the jump that ends a freeze is part of the freeze, no teleport.
 
+    Where the gripper has vanished, poses are false, and none jumps.
+
     An anomaly whose score is nearer to its bound than the spread between number formats is none: its kind is open.
     """
     e = evidence
+    vanishing = _find_vanishing(e)
+    present = e.good & (vanishing.score <= 1.0)
     freezes = find_freezes(e.p_C, e.fair, e.still, e.t_s)
     familiar = e.domain is Domain.FAMILIAR
     detections = (
-        _find_vanishing(e),
+        vanishing,
         find_duplicates(e.other),
         _without(
-            find_teleports(e.p_C, e.covariance, e.good, e.mixed, e.t_s), {a.frame_end + 1 for a in freezes.anomalies}
+            find_teleports(e.p_C, e.covariance, present, e.mixed, e.t_s), {a.frame_end + 1 for a in freezes.anomalies}
         ),
         freezes,
         find_deformations(e.misfit, e.residual) if familiar else find_misshapen(e.shapes),

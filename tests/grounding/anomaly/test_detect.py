@@ -76,6 +76,17 @@ def test_the_jump_at_the_end_of_a_freeze_is_no_separate_teleport(clean):
     assert result.scores[AnomalyKind.TELEPORT] < 1.0
 
 
+def test_false_poses_of_a_gripper_that_has_vanished_are_no_teleport(clean):
+    p = clean.p_C.copy()
+    p[20:24] += [0.0, 0.15, 0.0]
+    explained = clean.explained.copy()
+    assert [a.kind for a in find_anomalies(replace(clean, p_C=p)).anomalies] == [AnomalyKind.TELEPORT] * 2
+    explained[20:24] = 2.0
+    result = find_anomalies(replace(clean, p_C=p, explained=explained))
+    assert [a.kind for a in result.anomalies] == [AnomalyKind.VANISH]
+    assert result.scores[AnomalyKind.TELEPORT] < 0.9
+
+
 def test_a_video_without_any_measurement_has_no_anomaly(clean):
     n = len(clean.t_s)
     unknown = np.full(n, np.nan)
