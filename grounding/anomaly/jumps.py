@@ -39,7 +39,7 @@ _MIX_RADIUS = 0.3
 
 Half as large again, and it would be one of the two."""
 _MIX_SHARE = 0.4
-"""Least share of mixed pixels among the changed ones of a mixture; of a motion, up to 0.35."""
+"""Least share of mixed pixels among the changed ones of a mixture; of a motion by 15 mm a frame or more, up to 0.38."""
 _FREEZE_FRAMES = 5
 """Fewest still frames of a freeze."""
 _FREEZE_SPEED_M_S = 0.035
@@ -144,7 +144,7 @@ def mixed_frames(frames: Frames) -> NDArray[np.bool_]:
     """Return the frames (T,) that mix the images before and after, as those of a cross-fade do.
 
     Where something moves, a pixel shows it or what it hides, as before or as after: few lie between. Of those that
-    differ before and after, many of a mixture do.
+    differ before and after, many of a mixture do; so do many of a motion that is slower than its edges are wide.
     """
     size = (_MIX_PX, round(_MIX_PX * frames.shape[1] / frames.shape[2]))
     small = [

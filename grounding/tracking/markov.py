@@ -131,7 +131,9 @@ def resolve_flips(poses: Sequence[FramePose | None]) -> list[FramePose | None]:
     return resolved
 
 
-def likeliest_postures(numbers: Sequence[int], postures: Sequence[Array], agreements: Sequence[Array]) -> list[int]:
+def likeliest_postures(
+    numbers: Sequence[int], postures: Sequence[Array], agreements: Sequence[Array]
+) -> list[int]:
     """Return the number of the posture in each of T frames that makes the likeliest path of the arm.
 
     Args:
