@@ -37,7 +37,7 @@ _MIX_CHANGED = 0.005
 _MIX_RADIUS = 0.3
 """Largest distance of a mixed pixel's colour from the mean of those before and after, over their distance.
 
-Half as large again, and it would be one of the two."""
+Either of the two is at 0.5."""
 _MIX_SHARE = 0.4
 """Least share of mixed pixels among the changed ones of a mixture; of a motion by 15 mm a frame or more, up to 0.38."""
 _FREEZE_FRAMES = 5
@@ -73,8 +73,9 @@ def jump_lengths(p: Array, covariance: Array, good: NDArray[np.bool_], t_s: Arra
     The displacement from each of the two frames before to each of the two from it on, less what the median velocity of
     three steps to each side explains: that of least unexplained length of the four, so that no single outlier makes a
     jump; or the displacement less that by the mean velocity of the steps just before and after, since a short burst of
-    speed accelerates and decelerates. Errors of both positions along the displacement, `_TELEPORT_SIGMAS` of them,
-    explain a part, in quadrature; frames that are missing, the rest but its quotient by the root of the step.
+    speed accelerates and decelerates. `_TELEPORT_SIGMAS` standard deviations of both positions along the displacement
+    explain a part, in quadrature. The rest is divided by the root of the step in frame periods: over missing frames the
+    motion is less certain.
 
     0 where a side has less than three frames, or gaps. Positions `p` (T, 3) [m], of covariances (T, 3, 3) [m^2], count
     in `good` (T,) frames.
@@ -147,14 +148,12 @@ def mixed_frames(frames: Frames) -> NDArray[np.bool_]:
     differ before and after, many of a mixture do; so do many of a motion that is slower than its edges are wide.
     """
     size = (_MIX_PX, round(_MIX_PX * frames.shape[1] / frames.shape[2]))
-    small = [
-        cv2.GaussianBlur(cv2.resize(frame, size, interpolation=cv2.INTER_AREA), (0, 0), 1.0).astype(np.float32)
-        for frame in frames
-    ]
+    small = [cv2.GaussianBlur(cv2.resize(f, size, interpolation=cv2.INTER_AREA), (0, 0), 1.0) for f in frames]
     mixed = np.zeros(len(frames), dtype=np.bool_)
     for i in range(1, len(frames) - 1):
-        change = np.linalg.norm(small[i + 1] - small[i - 1], axis=-1)
-        off = np.linalg.norm(small[i] - 0.5 * (small[i - 1] + small[i + 1]), axis=-1)
+        before, image, after = np.array(small[i - 1 : i + 2], dtype=np.float32)
+        change = np.linalg.norm(after - before, axis=-1)
+        off = np.linalg.norm(image - 0.5 * (before + after), axis=-1)
         changed = change > _MIX_LEVELS
         if changed.mean() >= _MIX_CHANGED:
             mixed[i] = (off < _MIX_RADIUS * change)[changed].mean() >= _MIX_SHARE
