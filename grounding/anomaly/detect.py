@@ -25,7 +25,13 @@ from kinebench_drake.grounding.anomaly.appearance import (
 )
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, find_camera_motion
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
-from kinebench_drake.grounding.anomaly.jumps import find_finger_faults, find_freezes, find_teleports, still_frames
+from kinebench_drake.grounding.anomaly.jumps import (
+    find_finger_faults,
+    find_freezes,
+    find_teleports,
+    mixed_frames,
+    still_frames,
+)
 from kinebench_drake.grounding.registration.hand_contour import HandShape
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H, GripperView
@@ -80,6 +86,8 @@ class AnomalyEvidence:
     """(T,) task time [s]."""
     p_C: Array
     """(T, 3) centre of the gripper in the camera frame [m]."""
+    covariance: Array
+    """(T, 3, 3) its covariance [m^2]."""
     confidence: Array
     """(T,) confidence 0..1, 0 without a detection."""
     absences: tuple[Absence | None, ...]
@@ -101,6 +109,8 @@ class AnomalyEvidence:
     """(T,) shape of the hand's contour; None where unknown, and in familiar videos."""
     still: NDArray[np.bool_]
     """(T,) frames that repeat the one before."""
+    mixed: NDArray[np.bool_]
+    """(T,) frames that mix those before and after; none if the camera moves."""
     motion: CameraMotion
     domain: Domain = Domain.FAMILIAR
 
@@ -156,6 +166,7 @@ def gather_evidence(
     n = len(frames)
     familiar = domain is Domain.FAMILIAR
     p_C = np.full((n, 3), np.nan)
+    covariance = np.full((n, 3, 3), np.nan)
     explained = np.zeros(n)
     width, misfit, residual, scale = (np.full(n, np.nan) for _ in range(4))
     for i, pose in ((i, pose) for i, pose in enumerate(poses) if pose is not None):
@@ -167,6 +178,9 @@ def gather_evidence(
             elif domain is Domain.UNFAMILIAR:
                 explained[i] = max(explained[i], bounds.ABSENT_CELLS * agreement / _ABSENT_AGREEMENT)
         p_C[i] = transform_points(pose.X_CH, GRIPPER_CENTRE_H[None])[0]
+        lever = np.cross(np.eye(3), p_C[i] - pose.X_CH[:3, 3])
+        by_pose = np.vstack([lever, np.eye(3)])
+        covariance[i] = by_pose.T @ pose.covariance @ by_pose
         if familiar and confidence[i] >= _FAIR_CONFIDENCE:
             hand = pose.hand_without_silhouette
             sharp = 2 * hand.finger_sigma_m <= bounds.SHARP_M
@@ -189,6 +203,7 @@ def gather_evidence(
     return AnomalyEvidence(
         t_s=t_s,
         p_C=p_C,
+        covariance=covariance,
         confidence=confidence,
         absences=explain(present & finite_rows(p_C)),
         explained=explained,
@@ -199,6 +214,7 @@ def gather_evidence(
         scale=scale,
         shapes=tuple(shapes),
         still=still_frames(frames),
+        mixed=np.zeros(n, dtype=np.bool_) if motion.moves else mixed_frames(frames),
         motion=motion,
         domain=domain,
     )
@@ -213,16 +229,23 @@ def _side_cosine(pose: FramePose) -> float:
 def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
     """Apply every detector; the jump that ends a freeze is part of the freeze, no teleport.
 
+    Where the gripper has vanished, poses are false, and none jumps.
+
     An anomaly whose score is nearer to its bound than the spread between number formats is none: its kind is open.
     """
     e = evidence
-    freezes = find_freezes(e.p_C, e.fair, e.still, e.t_s)
     familiar = e.domain is Domain.FAMILIAR
+    # in an unfamiliar video a doubtful pose is one, too
+    confidence = e.confidence if familiar else (e.confidence > 0.0).astype(np.float64)
+    vanishing = find_vanishing(confidence, e.explained, e.expected)
+    present = e.good & (vanishing.score <= 1.0)
+    freezes = find_freezes(e.p_C, e.fair, e.still, e.t_s)
     detections = (
-        # in an unfamiliar video a doubtful pose is none
-        find_vanishing(e.confidence if familiar else (e.confidence > 0.0).astype(np.float64), e.explained, e.expected),
+        vanishing,
         find_duplicates(e.other),
-        _without(find_teleports(e.p_C, e.fair, e.good, e.t_s), {a.frame_end + 1 for a in freezes.anomalies}),
+        _without(
+            find_teleports(e.p_C, e.covariance, present, e.mixed, e.t_s), {a.frame_end + 1 for a in freezes.anomalies}
+        ),
         freezes,
         find_deformations(e.misfit, e.residual) if familiar else find_misshapen(e.shapes),
         find_camera_motion(e.motion),

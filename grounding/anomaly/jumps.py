@@ -14,11 +14,32 @@ from kinebench_drake.segments import UNEVEN, finite_rows, frame_periods, segment
 from kinebench_drake.track import MAX_WIDTH_M
 
 # Set on planted faults in home renders of seen assets, and checked on clean ones:
-# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks evaluate faulty`.
-_TELEPORT_M = 0.04
-"""Least length of a teleport [m]."""
-_TELEPORT_CONTRAST = 4.0
+# `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks evaluate faulty`. Teleports: set on
+# half
+# of the clips of `python -m benchmarks painted make --splice --count 40`, with those without --splice; checked on the
+# others, and on clean ones of other simulators.
+_TELEPORT_M = 0.03
+"""Least length of a teleport [m].
+
+Within 0.2 s the arm could move farther, but experts of the suites stay within 0.015 m of the motion around."""
+_TELEPORT_CONTRAST = 2.5
 """Least ratio of this length to the median jump length of the path around it."""
+_TELEPORT_SIGMAS = 8.0
+"""Standard deviations of a displacement that explain it: errors in depth have heavy tails."""
+_FADED = 0.7
+"""Factor of the least length of a jump through a cross-fade, which spreads it over several steps."""
+_MIX_PX = 384
+"""Width of the images in which mixtures are looked for."""
+_MIX_LEVELS = 50.0
+"""Change of a pixel's colour that counts as one [grey levels of 255]."""
+_MIX_CHANGED = 0.005
+"""Least share of changed pixels of an image that may be a mixture."""
+_MIX_RADIUS = 0.3
+"""Largest distance of a mixed pixel's colour from the mean of those before and after, over their distance.
+
+Either of the two is at 0.5."""
+_MIX_SHARE = 0.4
+"""Least share of mixed pixels among the changed ones of a mixture; of a motion by 15 mm a frame or more, up to 0.38."""
 _FREEZE_FRAMES = 5
 """Fewest still frames of a freeze."""
 _FREEZE_SPEED_M_S = 0.035
@@ -37,53 +58,70 @@ _STEPS = 3
 """Steps to each side whose median is the velocity at a jump."""
 _AROUND = 8
 """Frames to each side whose median is the usual jump length."""
-_MAX_GAP = 2
-"""Greatest number of frames that may be missing at a jump."""
+_SIDE = 3
+"""Fewest frames on each side of a jump."""
+_MAX_GAP = 4
+"""Longest step over a jump, with frames missing [frame periods]."""
+_MAX_SIDE_GAP = 2
+"""Longest step beside a jump [frame periods]: a pose alone beside doubtful ones is no side."""
 _FLUTTER_FRAMES = 4
 
 
-def jump_lengths(p: Array, fair: NDArray[np.bool_], t_s: Array) -> Array:
-    """Return the length (T,) of the path's jump just before each frame [m].
+def jump_lengths(p: Array, covariance: Array, good: NDArray[np.bool_], t_s: Array) -> tuple[Array, Array]:
+    """Return the length (T,) of the path's jump just before each frame, and what of it is unexplained (T,) [m].
 
     The displacement from each of the two frames before to each of the two from it on, less what the median velocity of
-    three steps to each side explains: the least of the four lengths, so that no single outlier makes a jump; and no
-    more than the displacement less that by the mean velocity of the steps just before and after, since a short burst of
-    speed accelerates and decelerates. A displacement over a missing frame counts half. 0 where a side has less than two
-    frames; positions `p` (T, n) [m] count in `fair` (T,) frames.
+    three steps to each side explains: that of least unexplained length of the four, so that no single outlier makes a
+    jump; or the displacement less that by the mean velocity of the steps just before and after, since a short burst of
+    speed accelerates and decelerates. `_TELEPORT_SIGMAS` standard deviations of both positions along the displacement
+    explain a part, in quadrature. The rest is divided by the root of the step in frame periods: over missing frames the
+    motion is less certain.
+
+    0 where a side has less than three frames, or gaps. Positions `p` (T, 3) [m], of covariances (T, 3, 3) [m^2], count
+    in `good` (T,) frames.
     """
-    index = np.flatnonzero(fair & finite_rows(p))
+    index = np.flatnonzero(good & finite_rows(p))
     lengths = np.zeros(len(p))
-    if len(index) < 4:
-        return lengths
+    unexplained = np.zeros(len(p))
     place = frame_periods(t_s)[index]
     q = p[index]
     gaps = np.diff(place)
     velocity = np.diff(q, axis=0) / gaps[:, None]
-    for k in range(2, len(index) - 1):
-        if gaps[k - 1] > _MAX_GAP + UNEVEN:
+    for k in range(_SIDE, len(index) - _SIDE + 1):
+        if gaps[k - 1] > _MAX_GAP + UNEVEN or max(gaps[k - 2], gaps[k]) > _MAX_SIDE_GAP + UNEVEN:
             continue
         steps = [j for j in range(k - 1 - _STEPS, k + _STEPS) if 0 <= j < len(gaps) and j != k - 1]
         usual = np.median(velocity[steps], axis=0)
-        moves = [q[b] - q[a] - usual * (place[b] - place[a]) for a in (k - 2, k - 1) for b in (k, k + 1)]
+        pairs = [(a, b) for a in (k - 2, k - 1) for b in (k, k + 1)]
+        moves = [q[b] - q[a] - usual * (place[b] - place[a]) for a, b in pairs]
+        pairs.append((k - 1, k))
         moves.append(q[k] - q[k - 1] - 0.5 * (velocity[k - 2] + velocity[k]) * gaps[k - 1])
-        lengths[index[k]] = min(float(np.linalg.norm(move)) for move in moves) / gaps[k - 1]
-    return lengths
+        squares = [float(move @ move) for move in moves]
+        error = covariance[index[pairs]].sum(axis=1)
+        variances = np.einsum("ni,nij,nj->n", moves, error, moves) / np.maximum(squares, 1e-12)
+        rest = np.maximum(squares - _TELEPORT_SIGMAS**2 * variances, 0.0) / gaps[k - 1]
+        least = int(np.argmin(rest))
+        lengths[index[k]] = squares[least] ** 0.5
+        unexplained[index[k]] = rest[least] ** 0.5
+    return lengths, unexplained
 
 
-def find_teleports(p: Array, fair: NDArray[np.bool_], good: NDArray[np.bool_], t_s: Array) -> Detection:
+def find_teleports(
+    p: Array, covariance: Array, good: NDArray[np.bool_], mixed: NDArray[np.bool_], t_s: Array
+) -> Detection:
     """Detect jumps of the gripper; start and end: the first frame after the jump; severity: its length [m].
 
-    The score is the length over the larger of its least one and `_TELEPORT_CONTRAST` times the median length
-    around it. Positions `p` (T, 3) [m] count in `fair` (T,) frames; a jump starts from and leads to `good` (T,) ones.
+    The score is the unexplained length over the larger of its least one and `_TELEPORT_CONTRAST` times the median
+    length around it; if the frame or the one before is one of the `mixed` (T,) ones, less suffices. Positions `p`
+    (T, 3) [m], of covariances (T, 3, 3) [m^2], count in `good` (T,) frames.
     """
-    lengths = jump_lengths(p, fair, t_s)
-    index = np.flatnonzero(fair & finite_rows(p))
-    lengths[index[1:][~(good[index[1:]] & good[index[:-1]])]] = 0.0
+    lengths, unexplained = jump_lengths(p, covariance, good, t_s)
     score = np.zeros(len(lengths))
     for i in np.flatnonzero(lengths).tolist():
         around = [k for k in range(max(0, i - _AROUND), min(len(lengths), i + _AROUND + 1)) if abs(k - i) > 2]
         usual = [lengths[k] for k in around if lengths[k] > 0]
-        score[i] = lengths[i] / max(_TELEPORT_M, _TELEPORT_CONTRAST * float(np.median(usual)) if usual else 0.0)
+        least = max(_TELEPORT_M, _TELEPORT_CONTRAST * float(np.median(usual)) if usual else 0.0)
+        score[i] = unexplained[i] / (_FADED * least if mixed[i - 1 : i + 1].any() else least)
     return Detection.from_score(AnomalyKind.TELEPORT, _suppress_non_maxima(score, lengths), lengths)
 
 
@@ -101,6 +139,25 @@ def still_frames(frames: Frames) -> NDArray[np.bool_]:
     small = (cv2.GaussianBlur(cv2.cvtColor(f, cv2.COLOR_RGB2GRAY), (0, 0), 1.5).astype(np.float32) for f in frames)
     change = [np.percentile(np.abs(b - a), 99.5) for a, b in pairwise(small)]
     return np.array([False, *(c < _STILL_LEVELS for c in change)])
+
+
+def mixed_frames(frames: Frames) -> NDArray[np.bool_]:
+    """Return the frames (T,) that mix the images before and after, as those of a cross-fade do.
+
+    Where something moves, a pixel shows it or what it hides, as before or as after: few lie between. Of those that
+    differ before and after, many of a mixture do; so do many of a motion that is slower than its edges are wide.
+    """
+    size = (_MIX_PX, round(_MIX_PX * frames.shape[1] / frames.shape[2]))
+    small = [cv2.GaussianBlur(cv2.resize(f, size, interpolation=cv2.INTER_AREA), (0, 0), 1.0) for f in frames]
+    mixed = np.zeros(len(frames), dtype=np.bool_)
+    for i in range(1, len(frames) - 1):
+        before, image, after = np.array(small[i - 1 : i + 2], dtype=np.float32)
+        change = np.linalg.norm(after - before, axis=-1)
+        off = np.linalg.norm(image - 0.5 * (before + after), axis=-1)
+        changed = change > _MIX_LEVELS
+        if changed.mean() >= _MIX_CHANGED:
+            mixed[i] = (off < _MIX_RADIUS * change)[changed].mean() >= _MIX_SHARE
+    return mixed
 
 
 def find_freezes(p: Array, fair: NDArray[np.bool_], still: NDArray[np.bool_], t_s: Array) -> Detection:

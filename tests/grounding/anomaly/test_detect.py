@@ -18,6 +18,7 @@ def clean(reach, t_s):
     return AnomalyEvidence(
         t_s=t_s,
         p_C=reach(),
+        covariance=np.zeros((n, 3, 3)),
         confidence=np.full(n, 0.8),
         absences=(None,) * n,
         explained=np.full(n, 400.0),
@@ -28,6 +29,7 @@ def clean(reach, t_s):
         scale=1.0 + rng.normal(0, 0.02, n),
         shapes=(None,) * n,
         still=np.zeros(n, dtype=bool),
+        mixed=np.zeros(n, dtype=bool),
         motion=CameraMotion(px=np.zeros(n), R_AC=np.repeat(np.eye(3)[None], n, axis=0), unit_px=1.0),
     )
 
@@ -71,6 +73,17 @@ def test_the_jump_at_the_end_of_a_freeze_is_no_separate_teleport(clean):
     result = find_anomalies(replace(clean, p_C=p, still=still))
     assert [a.kind for a in result.anomalies] == [AnomalyKind.FREEZE]
     assert result.scores[AnomalyKind.TELEPORT] < 1.0
+
+
+def test_false_poses_of_a_gripper_that_has_vanished_are_no_teleport(clean):
+    p = clean.p_C.copy()
+    p[20:24] += [0.0, 0.15, 0.0]
+    explained = clean.explained.copy()
+    assert [a.kind for a in find_anomalies(replace(clean, p_C=p)).anomalies] == [AnomalyKind.TELEPORT] * 2
+    explained[20:24] = 2.0
+    result = find_anomalies(replace(clean, p_C=p, explained=explained))
+    assert [a.kind for a in result.anomalies] == [AnomalyKind.VANISH]
+    assert result.scores[AnomalyKind.TELEPORT] < 0.9
 
 
 def test_a_video_without_any_measurement_has_no_anomaly(clean):

@@ -7,17 +7,25 @@ from kinebench_drake.grounding.anomaly.jumps import (
     find_freezes,
     find_teleports,
     jump_lengths,
+    mixed_frames,
     still_frames,
 )
 
 
-def teleports(p, fair, good):
-    return find_teleports(p, fair, good, 0.2 * np.arange(len(p)))
+def teleports(p, good, *, covariance=None, mixed=None):
+    exact = np.zeros((len(p), 3, 3))
+    none = np.zeros(len(p), dtype=bool)
+    t_s = 0.2 * np.arange(len(p))
+    return find_teleports(p, exact if covariance is None else covariance, good, none if mixed is None else mixed, t_s)
+
+
+def without(visible, *frames):
+    return visible & ~np.isin(np.arange(len(visible)), frames)
 
 
 def test_a_smooth_noisy_path_has_no_teleport(reach, visible):
     for seed in range(60):
-        assert teleports(reach(seed), visible, visible).peak < 1.0
+        assert teleports(reach(seed), visible).peak < 1.0
 
 
 @pytest.mark.parametrize("size_m", [0.05, 0.15])
@@ -27,7 +35,7 @@ def test_a_teleport_is_reported_at_its_frame_with_its_length(reach, visible, siz
         frame = (3, 20, 45)[seed % 3]
         p = reach(seed, noise_m=0.003, wild=0.0)
         p[frame:] += [0.0, size_m, 0.0]
-        (result,) = teleports(p, visible, visible).anomalies
+        (result,) = teleports(p, visible).anomalies
         assert result.frame_start == result.frame_end
         assert abs(result.frame_start - frame) <= 1
         lengths.append(result.severity)
@@ -39,49 +47,117 @@ def test_dropped_frames_of_a_video_with_time_stamps_are_no_teleport(dropped):
     t_s = np.delete(np.arange(60) / 15.0, np.arange(28, 28 + dropped))
     p = np.outer(0.25 * (1.0 - np.cos(np.pi * t_s / 4.0)), [1.0, 0.5, 0.0])
     fair = np.ones(len(t_s), dtype=bool)
-    assert find_teleports(p, fair, fair, t_s).peak < 0.01
+    assert find_teleports(p, np.zeros((len(p), 3, 3)), fair, ~fair, t_s).peak < 0.01
 
 
 def test_a_jump_there_and_back_is_two_teleports(reach, visible):
     p = reach()
     p[20:30] += [0.0, 0.15, 0.0]
-    assert [a.frame_start for a in teleports(p, visible, visible).anomalies] == [20, 30]
+    assert [a.frame_start for a in teleports(p, visible).anomalies] == [20, 30]
 
 
 def test_a_single_outlier_frame_is_no_teleport(reach, visible):
     for frame in (5, 24, 40):
         p = reach(noise_m=0.002)
         p[frame] += [0.0, 0.2, 0.0]
-        assert teleports(p, visible, visible).anomalies == ()
+        assert teleports(p, visible).anomalies == ()
 
 
 def test_the_jump_length_of_uniform_motion_is_zero():
     p = np.arange(20.0)[:, None] * [0.03, 0.01, 0.0]
-    assert jump_lengths(p, np.ones(20, dtype=bool), np.arange(20.0)).max() < 1e-12
+    lengths, unexplained = jump_lengths(p, np.zeros((20, 3, 3)), np.ones(20, dtype=bool), np.arange(20.0))
+    assert lengths.max() < 1e-12
+    assert unexplained.max() < 1e-12
 
 
 def test_the_teleport_score_grows_with_the_length_of_the_jump(reach, visible):
     def peak(size_m):
         p = reach(3)
         p[25:] += [size_m, 0.0, 0.0]
-        return teleports(p, visible, visible).peak
+        return teleports(p, visible).peak
 
     peaks = [peak(size) for size in (0.0, 0.02, 0.05, 0.1)]
     assert peaks == sorted(peaks)
 
 
 def test_unknown_positions_and_single_frames_are_no_teleport(visible):
-    assert teleports(np.full((49, 3), np.nan), visible, visible).peak == 0.0
-    assert teleports(np.zeros((1, 3)), visible[:1], visible[:1]).peak == 0.0
+    assert teleports(np.full((49, 3), np.nan), visible).peak == 0.0
+    assert teleports(np.zeros((1, 3)), visible[:1]).peak == 0.0
 
 
-def test_a_jump_to_a_doubtful_frame_is_no_teleport(reach, visible):
+def test_a_doubtful_frame_beside_the_path_is_no_teleport_and_hides_none(reach, visible):
     p = reach(3)
     p[20] += [0.0, 0.12, 0.0]
-    p[21:] += [0.0, 0.06, 0.0]
-    assert teleports(p, visible, visible).peak > 1.0
-    doubtful = visible & (np.arange(len(visible)) != 20)
-    assert teleports(p, visible, doubtful).peak < 1.0
+    doubtful = without(visible, 20)
+    assert teleports(p, doubtful).peak < 1.0
+    p[21:] += [0.0, 0.08, 0.0]
+    (result,) = teleports(p, doubtful).anomalies
+    assert (result.frame_start, result.severity) == (21, pytest.approx(0.08, abs=0.02))
+
+
+@pytest.mark.parametrize("missing", [1, 2, 3])
+def test_a_jump_over_lost_frames_is_decided_from_both_sides(reach, visible, missing):
+    p = reach(noise_m=0.001, wild=0.0)
+    lost = range(20, 20 + missing)
+    p[20:] += [0.0, 0.12, 0.0]
+    p[lost] = np.nan
+    (result,) = teleports(p, visible).anomalies
+    assert (result.frame_start, result.severity) == (20 + missing, pytest.approx(0.12, abs=0.03))
+
+
+@pytest.mark.parametrize("doubtful", [range(20, 26), (18, 19, 21, 22), range(18)])
+def test_the_edge_of_a_stretch_of_low_confidence_is_no_teleport(reach, visible, doubtful):
+    p = reach(noise_m=0.001, wild=0.0)
+    p[20:] += [0.0, 0.15, 0.0]
+    assert teleports(p, visible).anomalies
+    assert teleports(p, without(visible, *doubtful)).peak < 1.0
+
+
+@pytest.mark.parametrize("frame", [1, 2, 47, 48])
+def test_a_side_of_less_than_three_frames_makes_no_teleport(reach, visible, frame):
+    p = reach(noise_m=0.001, wild=0.0)
+    p[frame:] += [0.0, 0.15, 0.0]
+    assert teleports(p, visible).peak < 1.0
+
+
+def test_a_jump_across_the_line_of_sight_counts_and_one_that_the_error_in_depth_explains_does_not(reach, visible):
+    covariance = np.tile(np.diag([0.0005, 0.0005, 0.005]) ** 2, (len(visible), 1, 1))
+
+    def peak(*jump_m):
+        p = reach(noise_m=0.001, wild=0.0)
+        p[20:] += jump_m
+        return teleports(p, visible, covariance=covariance).peak
+
+    assert peak(0.05, 0.0, 0.0) > 1.0
+    assert peak(0.0, 0.05, 0.0) > 1.0
+    assert peak(0.0, 0.0, 0.05) < 1.0
+    assert peak(0.0, 0.0, 0.15) > 1.0
+
+
+def test_a_shorter_jump_is_a_teleport_where_the_image_is_a_mixture(reach, visible):
+    p = reach(noise_m=0.001, wild=0.0)
+    p[20:] += [0.0, 0.026, 0.0]
+    assert teleports(p, visible).peak < 1.0
+    assert [a.frame_start for a in teleports(p, visible, mixed=np.arange(49) == 20).anomalies] == [20]
+    assert teleports(p, visible, mixed=np.arange(49) == 30).peak < 1.0
+
+
+def bars(places, shares=None):
+    """Return images of a bright bar at each place; with shares, each the mixture of the first and the last one."""
+    frames = np.full((len(places), 96, 128, 3), 40, np.uint8)
+    for frame, x in zip(frames, places, strict=True):
+        frame[20:80, x : x + 30] = 200
+    if shares is not None:
+        weights = np.array(shares)[:, None, None, None]
+        frames = ((1.0 - weights) * frames[0] + weights * frames[-1]).astype(np.uint8)
+    return frames
+
+
+def test_cross_faded_frames_are_mixtures_and_those_of_a_motion_are_none():
+    assert mixed_frames(bars([10, 50, 50, 50], [0.0, 0.33, 0.67, 1.0])).tolist() == [False, True, True, False]
+    assert not mixed_frames(bars([10, 22, 34, 46, 58])).any()
+    assert not mixed_frames(bars([10, 10, 50, 50])).any()
+    assert not mixed_frames(bars([10, 10, 10, 10])).any()
 
 
 @pytest.mark.parametrize("length", [5, 8])
