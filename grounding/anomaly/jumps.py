@@ -22,6 +22,8 @@ _TELEPORT_M = 0.03
 """Least length of a teleport [m].
 
 Within 0.2 s the arm could move farther, but experts of the suites stay within 0.015 m of the motion around."""
+_TELEPORT_PERIOD_S = 0.2
+"""Frame period up to which this length holds: in longer steps motions bend more [s]."""
 _TELEPORT_CONTRAST = 2.5
 """Least ratio of this length to the median jump length of the path around it."""
 _TELEPORT_SIGMAS = 8.0
@@ -111,16 +113,18 @@ def find_teleports(
 ) -> Detection:
     """Detect jumps of the gripper; start and end: the first frame after the jump; severity: its length [m].
 
-    The score is the unexplained length over the larger of its least one and `_TELEPORT_CONTRAST` times the median
-    length around it; if the frame or the one before is one of the `mixed` (T,) ones, less suffices. Positions `p`
-    (T, 3) [m], of covariances (T, 3, 3) [m^2], count in `good` (T,) frames.
+    The score is the unexplained length over the larger of its least one, which grows with the frame period, and
+    `_TELEPORT_CONTRAST` times the median length around it; if the frame or the one before is one of the `mixed` (T,)
+    ones, less suffices. Positions `p` (T, 3) [m], of covariances (T, 3, 3) [m^2], count in `good` (T,) frames.
     """
     lengths, unexplained = jump_lengths(p, covariance, good, t_s)
+    period_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
+    floor_m = _TELEPORT_M * max(1.0, period_s / _TELEPORT_PERIOD_S)
     score = np.zeros(len(lengths))
     for i in np.flatnonzero(lengths).tolist():
         around = [k for k in range(max(0, i - _AROUND), min(len(lengths), i + _AROUND + 1)) if abs(k - i) > 2]
         usual = [lengths[k] for k in around if lengths[k] > 0]
-        least = max(_TELEPORT_M, _TELEPORT_CONTRAST * float(np.median(usual)) if usual else 0.0)
+        least = max(floor_m, _TELEPORT_CONTRAST * float(np.median(usual)) if usual else 0.0)
         score[i] = unexplained[i] / (_FADED * least if mixed[i - 1 : i + 1].any() else least)
     return Detection.from_score(AnomalyKind.TELEPORT, _suppress_non_maxima(score, lengths), lengths)
 

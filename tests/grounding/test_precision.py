@@ -19,7 +19,7 @@ CLIPS = Path(__file__).parents[1] / "gate"
 def ground(name: str, precision: Precision, monkeypatch: pytest.MonkeyPatch) -> GroundingResult:
     (sample,) = [s for s in find_samples(CLIPS / "manifest.jsonl", out=CLIPS / "out").samples if s.id == name]
     frames = read_video(sample.path).frames
-    clip = Clip(frames=frames, t_s=0.2 * np.arange(len(frames)))
+    clip = Clip(frames=frames, t_s=(sample.frame_period_s or 0.2) * np.arange(len(frames)))
     monkeypatch.setenv(PRECISION_VARIABLE, precision.value)
     return Grounder().ground(clip, sample.camera, source=CameraSource.MANIFEST)
 

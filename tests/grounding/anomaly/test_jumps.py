@@ -12,10 +12,10 @@ from kinebench_drake.grounding.anomaly.jumps import (
 )
 
 
-def teleports(p, good, *, covariance=None, mixed=None):
+def teleports(p, good, *, covariance=None, mixed=None, period_s=0.2):
     exact = np.zeros((len(p), 3, 3))
     none = np.zeros(len(p), dtype=bool)
-    t_s = 0.2 * np.arange(len(p))
+    t_s = period_s * np.arange(len(p))
     return find_teleports(p, exact if covariance is None else covariance, good, none if mixed is None else mixed, t_s)
 
 
@@ -223,3 +223,10 @@ def test_unknown_finger_widths_are_no_anomaly():
     width[::2] = np.nan
     assert find_finger_faults(width).peak < 1.0
     assert find_finger_faults(np.full(49, np.nan)).peak == 0.0
+
+
+def test_in_longer_steps_a_motion_may_bend_more(visible):
+    p = np.zeros((49, 3))
+    p[20:, 1] = 0.06
+    assert teleports(p, visible).anomalies
+    assert not teleports(p, visible, period_s=0.6).anomalies
