@@ -35,7 +35,7 @@ _LOCATED = 0.45
 """Least share of the contours of the last links, and of the last one, on image edges of an arm that says where its hand
 is.
 
-Where a hand was taken away from clips of robosuite it is 0.48 and more, where a door hides it 0.37."""
+In a clip of robosuite from which the hand was taken it is 0.48 and more, in one where a door hides the hand 0.37."""
 _IN_PICTURE = 0.9
 """Least share of the hand inside the picture."""
 _OUTSIDE = 0.3

@@ -50,8 +50,8 @@ _CONTOUR_CHANGE = 0.15
 _CONTOUR_GAIN = 0.225
 """Least increase of the contour's agreement by another size or shape of the hand.
 
-With both bounds the score of 56 clean clips of robosuite and PyBullet is at most 0.75, and of six hands that were
-stretched by 35 % for half a clip two are reported, the others missed."""
+With both bounds the score of 32 clean clips of robosuite and PyBullet is at most 0.75. Of six hands of robosuite that
+were stretched by 35 % for half a clip two are reported, and the others missed."""
 _CONTOUR_WINDOW = 15
 """Frames of the running median of the contour's change."""
 _WRONG_SIZE_SHARE = 0.5
