@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from pydrake.geometry import Box, Mesh
 from typing_extensions import override
 
@@ -18,9 +19,10 @@ from kinebench_drake.grounding.tracking.pose import CALIBRATION, load_confidence
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.gripper import PARTS
 from kinebench_drake.models.panda.description import GRIPPER, HAND_LINK, LINK_OF, GripperKind
 from kinebench_drake.models.perception.network import ARM_WEIGHTS
-from kinebench_drake.models.robotiq.cad import CLOSED_RAD, robotiq_mesh
+from kinebench_drake.models.robotiq.cad import robotiq_2f85
 from kinebench_drake.track import Domain
 from training.augment import degrade
 from training.calibration import MeasuredPoses, fit_confidence
@@ -72,7 +74,10 @@ class RobotiqScene(_HandlessScene):
         super()._add_robot()
         rng = self._rng
         file = self._folder / "robotiq.obj"
-        robotiq_mesh(float(rng.uniform(0.0, CLOSED_RAD))).export(file, include_normals=True)
+        gripper = robotiq_2f85()
+        X_HB = gripper.open(np.tile(np.eye(4), (PARTS, 1, 1)), rng.uniform(0.0, gripper.max_finger_m))
+        bodies = [mesh.copy().apply_transform(X_HB[body]) for body, mesh in gripper.meshes.items()]
+        trimesh.util.concatenate(bodies).export(file, include_normals=True)
         X_HR = make_pose(rotation_z(int(rng.integers(8)) * np.pi / 4), [0.0, 0.0, rng.uniform(0.0, 0.014)])
         look = Surface(colour=rng.uniform(0.02, 0.25) + rng.uniform(0.0, 0.05, 3), roughness=0.5)
         self._add("robotiq", Mesh(file), look if rng.random() < _DARK else random_surface(rng), X=X_HR)

@@ -28,6 +28,7 @@ from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.gripper import GripperModel
 from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.track import GripperTrack
 
@@ -99,7 +100,7 @@ class FootageWorker:
         start = time.process_time()
         result = self._pipeline.ground(frames, camera, np.arange(len(frames), dtype=np.float64) * video.frame_period_s)
         cpu_s = time.process_time() - start
-        write_overlay(self._overlays / f"{video.id}.mp4", frames, camera, result.track)
+        write_overlay(self._overlays / f"{video.id}.mp4", frames, camera, result.track, result.gripper_model)
         return TrackRecord(
             id=video.id,
             X_CH=result.track.X_CH,
@@ -111,10 +112,12 @@ class FootageWorker:
         )
 
 
-def write_overlay(path: Path, frames: Frames, camera: Camera, track: GripperTrack) -> None:
-    """Write the tracked gripper drawn on the video."""
+def write_overlay(
+    path: Path, frames: Frames, camera: Camera, track: GripperTrack, gripper: GripperModel | None
+) -> None:
+    """Write the tracked gripper drawn on the video, or without a model its axes."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_video(path, draw_overlay(frames, camera, track), OVERLAY_FPS)
+    write_video(path, draw_overlay(frames, camera, track, gripper=gripper), OVERLAY_FPS)
 
 
 def ground_videos(

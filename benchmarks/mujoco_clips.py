@@ -5,6 +5,7 @@ It runs in an environment of its own, since robosuite 1.5.2 needs mujoco 3.3.2:
     python -m venv env && env/bin/pip install mujoco==3.3.2 robosuite==1.5.2 av
     MUJOCO_GL=osmesa env/bin/python benchmarks/mujoco_clips.py OUT --count 14 --seed 100
     MUJOCO_GL=osmesa env/bin/python benchmarks/mujoco_clips.py FAULTS --count 9 --faults vanish,teleport,freeze
+    MUJOCO_GL=osmesa env/bin/python benchmarks/mujoco_clips.py ROBOTIQ --count 20 --gripper robotiq
 
 Writes OUT/NAME.mp4, OUT/NAME.gt.npz and OUT/manifest.jsonl, in the layout of `python -m benchmarks footage`; with
 faults, the truth is that of the shown motion. MuJoCo's software renderer needs Debian's libosmesa6.
@@ -44,13 +45,39 @@ _TABLE_LIFT_M = -0.15
 """Lift of the workspace to the table tops of the scenes, at which their cameras look [m]."""
 
 
+_GRIPPERS = {"franka": "default", "robotiq": "Robotiq85Gripper"}
+_LEVER_M = (0.0376, 0.043)
+"""Finger of the Robotiq gripper from the axis of its outer knuckle, open, along y and z [m] (its XML)."""
+_PAD_OFFSET_M = -0.0054058
+"""The same along y with touching pads [m]."""
+
+
+def _franka_fingers(width_m: float) -> dict[str, float]:
+    """Return joint positions of the Franka hand with its pads `width_m` apart [m]."""
+    return {"finger_joint1": width_m / 2, "finger_joint2": -width_m / 2}
+
+
+def _robotiq_fingers(width_m: float) -> dict[str, float]:
+    """Return joint angles of the Robotiq gripper with its pads `width_m` apart [rad]."""
+    reach = (width_m / 2 + _PAD_OFFSET_M) / np.hypot(*_LEVER_M)
+    turn = float(np.arctan2(*_LEVER_M) - np.arcsin(reach))
+    knuckles = ("finger_joint", "left_inner_knuckle_joint", "right_outer_knuckle_joint", "right_inner_knuckle_joint")
+    return {**dict.fromkeys(knuckles, turn), "left_inner_finger_joint": -turn, "right_inner_finger_joint": -turn}
+
+
 class Arm:
     """The Panda in a scene of robosuite."""
 
-    def __init__(self, scene: str, seed: int) -> None:
+    def __init__(self, scene: str, seed: int, gripper: str = "franka") -> None:
         """Create the scene; `seed` places its objects."""
         self.env = robosuite.make(
-            scene, robots="Panda", has_renderer=False, has_offscreen_renderer=False, use_camera_obs=False, seed=seed
+            scene,
+            robots="Panda",
+            gripper_types=_GRIPPERS[gripper],
+            has_renderer=False,
+            has_offscreen_renderer=False,
+            use_camera_obs=False,
+            seed=seed,
         )
         self.env.reset()
         self.model: Any = self.env.sim.model._model
@@ -58,7 +85,7 @@ class Arm:
         self.joints = [self.model.joint(f"robot0_joint{i}").qposadr[0] for i in range(1, 8)]
         self.dofs = [self.model.joint(f"robot0_joint{i}").dofadr[0] for i in range(1, 8)]
         self.limits = np.array([self.model.joint(f"robot0_joint{i}").range for i in range(1, 8)])
-        self.fingers = [self.model.joint(f"gripper0_right_finger_joint{i}").qposadr[0] for i in (1, 2)]
+        self._set_fingers = _franka_fingers if gripper == "franka" else _robotiq_fingers
         self.gripper = [
             b
             for b in range(self.model.nbody)
@@ -85,7 +112,8 @@ class Arm:
     def set(self, q: NDArray[Any], width_m: float) -> None:
         """Pose the arm (7,) [rad] and the fingers, `width_m` apart."""
         self.data.qpos[self.joints] = q
-        self.data.qpos[self.fingers] = [width_m / 2, -width_m / 2]
+        for joint, value in self._set_fingers(width_m).items():
+            self.data.qpos[self.model.joint(f"gripper0_right_{joint}").qposadr[0]] = value
         mujoco.mj_forward(self.model, self.data)
 
     def offset(self, X_BH: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -200,11 +228,12 @@ def main() -> None:
     """Render clips from anywhere, or at the cameras of the scenes."""
     parser = clip_parser(__doc__.splitlines()[0], prefix="m")
     parser.add_argument("--stock", help="scenes with their own cameras, in turn, such as Lift:agentview,Door:frontview")
+    parser.add_argument("--gripper", choices=sorted(_GRIPPERS), default="franka")
     options = parser.parse_args()
     for number, name, (width, height), fault, rng in missing_clips(options):
         stock = options.stock.split(",") if options.stock else SCENES
         scene, _, own_camera = stock[number % len(stock)].partition(":")
-        arm = Arm(scene, options.seed + number)
+        arm = Arm(scene, options.seed + number, options.gripper)
         take = None
         while take is None:
             q, gap = motion(arm, options.frames, rng)

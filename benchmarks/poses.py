@@ -151,7 +151,7 @@ def icp(videos: Path, keep: Path, limit: int | None, seed: int, jobs: int, out: 
 @click.argument("folder", type=EXISTING_FOLDER)
 @click.option("--out", type=FOLDER, required=True, help="Folder for footage.json, footage.md, tracks and overlays.")
 @click.option(
-    "--gripper", type=click.Choice(["franka", "none"]), default="franka", show_default=True,
+    "--gripper", type=click.Choice(["franka", "robotiq-2f85", "none"]), default="franka", show_default=True,
     help="none: measure the arm alone.",
 )  # fmt: skip
 def footage(folder: Path, out: Path, gripper: str) -> None:

@@ -28,7 +28,6 @@ from kinebench_drake.grounding.tracking.tracker import CadTracker
 from kinebench_drake.grounding.tracking.view import Crop, DenseEstimator, GripperView, replace_depth
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.network import WEIGHTS, load_network
 
 ERROR_CELLS = 12
@@ -124,7 +123,6 @@ class _Worker:
 
     def __init__(self) -> None:
         self._estimator = NetworkEstimator(load_network(WEIGHTS))
-        self._cad = GripperCad()
 
     def __call__(self, trial: RegistrationTrial) -> RegistrationErrors:
         clip = trial.clip.load(with_depth=True)
@@ -139,7 +137,7 @@ class _Worker:
             rng = np.random.default_rng([trial.seed, *clip.id.encode()])
             estimator = SmoothErrorEstimator(estimator, len(clip.t_s), kind.smooth_error, rng)
         priors = Priors(depth=depth) if kind.exact else NO_PRIORS
-        tracking = CadTracker(estimator, self._cad).track(read_video(clip.path).frames, clip.camera, priors)
+        tracking = CadTracker(estimator).track(read_video(clip.path).frames, clip.camera, priors)
         return _errors(clip, tracking.poses)
 
 

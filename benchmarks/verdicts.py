@@ -283,6 +283,14 @@ def painted_check(results: Path, clips: Path) -> None:
         click.echo(line)
 
 
+@click.command(epilog="\b\nExample:\n  python -m benchmarks pairs")
+def pairs() -> None:
+    """Print how far two passes of labels by eye agree on generated clips beside real ones."""
+    from benchmarks.pair_labels import compare_passes, read_pair_labels
+
+    click.echo(compare_passes(read_pair_labels()), nl=False)
+
+
 @click.command(
     epilog="\b\nExample:\n  python -m benchmarks precision heldout examples/videos/manifest.jsonl --work precision"
 )
@@ -307,4 +315,4 @@ def precision(videos: tuple[Path, ...], work: Path, jobs: int, out: Path | None)
         raise SystemExit(1)
 
 
-COMMANDS = (precision, causes, loss, validity, extractors, generated, trajectories, recordings, painted)
+COMMANDS = (precision, causes, loss, validity, extractors, generated, trajectories, recordings, painted, pairs)

@@ -5,46 +5,48 @@ from functools import cached_property
 from kinebench_drake.grounding.camera.check import CameraChecker
 from kinebench_drake.grounding.camera.estimate import CameraEstimator
 from kinebench_drake.grounding.camera.recognition import Recognition, recognize
-from kinebench_drake.grounding.pipeline import GroundingPipeline
+from kinebench_drake.grounding.pipeline import GRIPPERS, GroundingPipeline
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import GripperKind
-from kinebench_drake.models.perception.network import ARM_WEIGHTS, load_network
+from kinebench_drake.models.perception.network import WEIGHTS_OF, load_network
 
 
-class GroundingComponents:
-    """Networks and fits behind the grounding, each loaded when it is first used."""
+class GripperComponents:
+    """Network, tracking and camera estimation of a Panda with one gripper."""
 
-    def __init__(self) -> None:
-        self._arms: dict[GripperKind, GroundingPipeline] = {}
-
-    @cached_property
-    def _estimator(self) -> NetworkEstimator:
-        return NetworkEstimator(load_network())
+    def __init__(self, gripper: GripperKind) -> None:
+        self._gripper = gripper
 
     @cached_property
-    def _arm_estimator(self) -> NetworkEstimator:
-        return NetworkEstimator(load_network(ARM_WEIGHTS))
-
-    @cached_property
-    def hand(self) -> GroundingPipeline:
-        """Tracking of the Franka hand.
+    def estimator(self) -> NetworkEstimator:
+        """Network.
 
         Raises:
             SetupError: weights or libraries are missing; so do the others.
         """
-        return GroundingPipeline.create(self._estimator)
+        return NetworkEstimator(load_network(WEIGHTS_OF[self._gripper]))
 
-    def arm(self, gripper: GripperKind) -> GroundingPipeline:
-        """Return the tracking of the flange by the arm, and by another gripper than Franka's."""
-        if gripper not in self._arms:
-            self._arms[gripper] = GroundingPipeline.create(self._arm_estimator, gripper)
-        return self._arms[gripper]
+    @cached_property
+    def pipeline(self) -> GroundingPipeline:
+        """Tracking of the gripper, or of the flange without any."""
+        return GroundingPipeline.create(self.estimator, self._gripper)
 
     @cached_property
     def cameras(self) -> CameraEstimator:
-        """Estimation of cameras."""
-        return CameraEstimator(self._estimator)
+        """Estimation of cameras; of grippers of known shape alone."""
+        return CameraEstimator(self.estimator, GRIPPERS[self._gripper]())
+
+
+class GroundingComponents:
+    """Networks and fits behind the grounding."""
+
+    def __init__(self) -> None:
+        self._of = {kind: GripperComponents(kind) for kind in WEIGHTS_OF}
+
+    def of(self, gripper: GripperKind) -> GripperComponents:
+        """Return the components of a Panda with a gripper."""
+        return self._of[gripper]
 
     def recognize(self, frames: Frames) -> Recognition | None:
         """Return the camera of frames (T, H, W, 3) among those known by name; None if the arm confirms none."""
@@ -52,5 +54,6 @@ class GroundingComponents:
 
     @cached_property
     def checker(self) -> CameraChecker:
-        """Checks of cameras."""
-        return CameraChecker(self.cameras.estimator, self.cameras.fitter)
+        """Checks of cameras, by the Franka hand."""
+        cameras = self.of(GripperKind.FRANKA).cameras
+        return CameraChecker(cameras.estimator, cameras.fitter)

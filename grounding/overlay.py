@@ -14,7 +14,8 @@ from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
 from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes
+from kinebench_drake.models.gripper import GripperModel
+from kinebench_drake.models.panda.cad import GripperCad, PartCaster, franka_hand, link_meshes
 from kinebench_drake.models.panda.description import ARM, GRIPPER, RobotPart, hand_from_tcp
 from kinebench_drake.track import GripperTrack
 
@@ -34,7 +35,8 @@ _LEAST_SIDE_PX = 640
 
 
 def _part_map(camera: Camera, X_CH: Array, finger_m: float, cad: GripperCad) -> NDArray[np.uint8]:
-    """Return the part labels (H, W) of a gripper at `X_CH` (4, 4)."""
+    """Return the part labels (H, W) of a gripper mounted on panda_hand at `X_CH` (4, 4)."""
+    X_CH = X_CH @ cad.gripper.X_MH
     labels = np.zeros((camera.height, camera.width), np.uint8)
     centre = transform_points(X_CH, GRIPPER_CENTRE_H[None])[0]
     if centre[2] < GRIPPER_RADIUS_M:
@@ -91,13 +93,14 @@ def draw_overlay(
     track: GripperTrack,
     zoom: Array | None = None,
     *,
-    hand: bool = True,
+    gripper: GripperModel | None,
 ) -> Iterator[Image]:
     """Yield each of `frames` (T, H, W, 3) with the tracked gripper, frame number, time and confidence.
 
-    A zooming camera has the focal length of `camera` times `zoom` (T,). Without `hand` only the axes are drawn.
+    A zooming camera has the focal length of `camera` times `zoom` (T,). Without a `gripper`, as it is mounted, only the
+    axes are drawn.
     """
-    cad = GripperCad() if hand else None
+    cad = None if gripper is None else GripperCad(gripper)
     for i, frame in enumerate(frames):
         own = camera if zoom is None else replace(camera, fx=camera.fx * zoom[i], fy=camera.fy * zoom[i])
         if track.tracked[i]:
@@ -120,8 +123,9 @@ def render_parts(camera: Camera, X_BP: Array, finger_m: float) -> NDArray[np.uin
     Raises:
         SetupError: Open3D's native libraries or mani_skill's meshes are missing.
     """
-    X_CP = open_fingers(invert(camera.X_BC) @ X_BP, finger_m)
-    _, part = PartCaster({**part_meshes(), **link_meshes()}).first_hits(X_CP, camera.rays().reshape(-1, 3))
+    gripper = franka_hand()
+    X_CP = gripper.open(invert(camera.X_BC) @ X_BP, finger_m)
+    _, part = PartCaster(gripper, link_meshes()).first_hits(X_CP, camera.rays().reshape(-1, 3))
     return part.reshape(camera.height, camera.width)
 
 

@@ -1,6 +1,6 @@
 """Grounding of one video with one camera: estimation of the gripper track and of anomalies from frames."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +24,7 @@ from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.tracking.camera_path import CameraPath, follow_camera
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.flange_tracker import FlangeTracker
-from kinebench_drake.grounding.tracking.markov import X_HALF_TURN, resolve_flips, smooth_gripper_width
+from kinebench_drake.grounding.tracking.markov import resolve_flips, smooth_gripper_width
 from kinebench_drake.grounding.tracking.pose import (
     CALIBRATION,
     Confidence,
@@ -37,9 +37,12 @@ from kinebench_drake.grounding.tracking.tracker import CadTracker, PoseTracker, 
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
+from kinebench_drake.models.gripper import X_HALF_TURN, GripperModel
+from kinebench_drake.models.panda.cad import MAX_FINGER_M, franka_hand
 from kinebench_drake.models.panda.description import GripperKind, hand_from_tcp
-from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, load_network
+from kinebench_drake.models.perception.network import WEIGHTS_OF, load_network
 from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.models.robotiq.cad import robotiq_2f85
 from kinebench_drake.segments import evenly
 from kinebench_drake.track import Domain, GripperTrack, InitialState
 
@@ -50,6 +53,12 @@ _FIRST_RAD = float(np.deg2rad(6.0))
 _FOLLOWED_SHARE = 0.5
 """Least number of frames whose hand and arm agree with a followed camera, over that with a fixed one."""
 
+GRIPPERS: Mapping[GripperKind, Callable[[], GripperModel]] = {
+    GripperKind.FRANKA: franka_hand,
+    GripperKind.ROBOTIQ_2F85: robotiq_2f85,
+}
+"""Models of the grippers whose shape is known."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PipelineResult:
@@ -59,6 +68,8 @@ class PipelineResult:
     domain: Domain
     gripper: GripperKind = GripperKind.FRANKA
     """Gripper that was looked for."""
+    X_MH: Array = field(default_factory=lambda: np.eye(4))
+    """(4, 4) pose of the gripper's frame in panda_hand [m]: how it is mounted."""
     from_prior: NDArray[np.bool_]
     """(T,) frames whose pose was taken from priors."""
     first_frame: InitialStateUse
@@ -87,6 +98,12 @@ class PipelineResult:
     """(T,) why the gripper was not found; None where it was. Empty: it was never asked."""
     hand_size: HandSize | None = None
     """Size of the hand by the arm behind it; None if it is not measured."""
+
+    @property
+    def gripper_model(self) -> GripperModel | None:
+        """Gripper as it is mounted; None if its shape is unknown."""
+        make = GRIPPERS.get(self.gripper)
+        return None if make is None else replace(make(), X_MH=self.X_MH)
 
     @property
     def has_pose(self) -> NDArray[np.bool_]:
@@ -122,20 +139,15 @@ class GroundingPipeline:
         tracker: PoseTracker,
         confidence: Mapping[Domain, Confidence],
         gripper: GripperKind = GripperKind.FRANKA,
-        arm_tracker: PoseTracker | None = None,
     ) -> None:
-        """Compose the pipeline of a tracker that looks for `gripper` and the calibrated `confidence` of its poses.
-
-        The motion of a camera is checked by the faster `arm_tracker`; None for the same.
-        """
+        """Compose the pipeline of a tracker that looks for `gripper` and the calibrated `confidence` of its poses."""
         self.tracker = tracker
-        self._arm_tracker = arm_tracker or tracker
         self._confidence = confidence
         self._gripper = gripper
 
     @cached_property
-    def _absences(self) -> AbsenceFinder:
-        return AbsenceFinder(ArmModel(), EdgeMatcher())
+    def _edges(self) -> EdgeMatcher:
+        return EdgeMatcher(GRIPPERS.get(self._gripper, franka_hand)())
 
     @classmethod
     def create(
@@ -146,19 +158,19 @@ class GroundingPipeline:
         weights: Path | None = None,
         calibration: Path | None = None,
     ) -> Self:
-        """Create the pipeline; of other grippers than Franka's it measures the arm alone.
+        """Create the pipeline; without a gripper of known shape it measures the arm alone.
 
         Without an estimator the network is taken; `weights` and `calibration` replace those shipped.
 
         Raises:
             SetupError: weights, calibration, meshes or native libraries are missing.
         """
-        franka = gripper is GripperKind.FRANKA
-        estimator = estimator or NetworkEstimator(load_network(weights or (WEIGHTS if franka else ARM_WEIGHTS)))
+        estimator = estimator or NetworkEstimator(load_network(weights or WEIGHTS_OF[gripper]))
         confidence = load_confidence(calibration or CALIBRATION)
-        tracker = CadTracker(estimator, confidence=confidence) if franka else FlangeTracker(estimator, gripper)
-        by_arm = FlangeTracker(estimator) if gripper is GripperKind.ROBOTIQ_2F85 else None
-        return cls(tracker, confidence, gripper, by_arm)
+        tracker: PoseTracker = FlangeTracker(estimator)
+        if gripper is not GripperKind.NONE:
+            tracker = CadTracker(estimator, GRIPPERS[gripper](), confidence)
+        return cls(tracker, confidence, gripper)
 
     def ground(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> PipelineResult:
         """Estimate the gripper track of a video.
@@ -178,6 +190,8 @@ class GroundingPipeline:
             priors = replace(priors, initial_state=None)
         if priors.initial_state is not None:
             priors = priors.with_first_pose(_initial_hand_pose(priors.initial_state, camera), len(frames))
+        if self._gripper is GripperKind.ROBOTIQ_2F85:  # poses in its frame need its mount, which is found only now
+            priors = replace(priors, X_CH=None, initial_state=None)
         tracking, evidence = self.observe(frames, camera, t_s, priors)
         poses = tracking.poses
         motion = evidence.motion
@@ -191,14 +205,15 @@ class GroundingPipeline:
         confidence = np.where(raw.has_pose, np.where(raw.from_prior, 1.0, probability), 0.0)
         confidence[raw.on_path(confidence >= bounds.TRACKED_CONFIDENCE)] = ON_PATH_CONFIDENCE
         tracked = confidence >= bounds.TRACKED_CONFIDENCE
-        X_AH = raw.smooth(tracked, confidence)
+        X_HM = invert(tracking.gripper.X_MH)
+        X_AM = raw.smooth(tracked, confidence) @ X_HM
         track = GripperTrack(
             t_s=t_s,
-            X_CH=invert(motion.X_AC) @ X_AH,
-            X_BG=camera.X_BC @ X_AH @ hand_from_tcp(),
+            X_CH=invert(motion.X_AC) @ X_AM,
+            X_BG=camera.X_BC @ X_AM @ hand_from_tcp(),
             tracked=tracked,
             confidence=confidence,
-            finger_width_m=_gripper_width(poses, tracked, priors),
+            finger_width_m=_gripper_width(poses, tracked, priors, tracking.gripper),
             offset_m=bounds.GOOD_M * (not raw.from_prior.all()),
             offset_rad=bounds.GOOD_RAD * (not raw.from_prior.all()),
         )
@@ -216,7 +231,8 @@ class GroundingPipeline:
             arm_consistency_px=_arm_consistency_px(poses, tracked),
             wide=tracking.wide,
             arm_q=np.stack([p.arm.q if p and p.arm and p.arm.agrees else np.full(N_JOINTS, np.nan) for p in poses]),
-            X_CH_raw=invert(motion.X_AC) @ np.stack([no_poses[0] if p is None else p.X_CH for p in poses]),
+            X_CH_raw=invert(motion.X_AC) @ np.stack([no_poses[0] if p is None else p.X_CH for p in poses]) @ X_HM,
+            X_MH=tracking.gripper.X_MH,
             curves={**_icp_curves(poses), "repeated": evidence.still.astype(np.float64)},
         )
 
@@ -252,17 +268,20 @@ class GroundingPipeline:
             if stabilized and (motion.moves or motion.path is not None):
                 steady = motion.stabilize(frames, camera)
                 tracking = self.tracker.track(*steady, priors, motion.places)
-        resolved = tracking.poses if tracking.domain is Domain.ARM else resolve_flips(tracking.poses)
+        resolved: Sequence[FramePose | None] = tracking.poses
+        if tracking.domain is not Domain.ARM:
+            resolved = resolve_flips(tracking.poses, is_symmetric=tracking.gripper.is_symmetric)
         X_AC = motion.X_AS if stabilized else motion.X_AC
         poses = [p and replace(p, X_CH=X @ p.X_CH) for p, X in zip(resolved, X_AC, strict=True)]
         confidence = np.array([frame_confidence(p, tracking.domain, self._confidence) for p in poses])
         places = motion.places if stabilized else None
 
         def explain(present: NDArray[np.bool_]) -> tuple[Absence | None, ...]:
-            return self._absences.explain(*steady, places, tracking.wide, resolved, present)
+            finder = AbsenceFinder(ArmModel(tracking.gripper), self._edges)
+            return finder.explain(*steady, places, tracking.wide, resolved, present)
 
         evidence = gather_evidence(
-            frames, camera, t_s, tracking.wide, poses, confidence, motion, tracking.domain, explain
+            frames, camera, t_s, tracking.wide, poses, confidence, motion, tracking.domain, tracking.gripper, explain
         )
         return replace(tracking, poses=tuple(poses)), evidence
 
@@ -274,17 +293,17 @@ class GroundingPipeline:
         nothing = np.zeros(frames.shape[1:3], dtype=bool)
         if not self._measure_motion(frames, tracks, nothing, camera, priors, follows=False).is_clear:
             return None
-        robot = self._arm_tracker.track(frames[:1], camera).robot
+        robot = self.tracker.track(frames[:1], camera).robot
         motion = self._measure_motion(frames, tracks, robot, camera, priors)
         if motion.path is None:
             return None
         steady, wide = motion.stabilize(frames, camera)
         chosen = evenly(len(frames), bounds.SAMPLED_FRAMES)
         places = None if motion.places is None else motion.places[chosen]
-        fixed = self._arm_tracker.track(frames[chosen], camera).agreeing
+        fixed = self.tracker.track(frames[chosen], camera).agreeing
         if fixed == 0:
             return motion
-        followed = self._arm_tracker.track(steady[chosen], wide, places=places).agreeing
+        followed = self.tracker.track(steady[chosen], wide, places=places).agreeing
         return motion if followed >= _FOLLOWED_SHARE * fixed else replace(motion, path=None)
 
     def _measure_motion(
@@ -334,8 +353,14 @@ def _icp_curves(poses: Sequence[FramePose | None]) -> dict[str, Array]:
     return dict(zip(("icp_fitness", "icp_rmse_m", "icp_weight"), np.array(rows).T, strict=True))
 
 
-def _gripper_width(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_], priors: Priors) -> Array:
-    """Return the smoothed gripper width (T,) of the tracked frames [m]; widths from priors are exact."""
+def _gripper_width(
+    poses: Sequence[FramePose | None], tracked: NDArray[np.bool_], priors: Priors, gripper: GripperModel
+) -> Array:
+    """Return the smoothed gripper width (T,) of the tracked frames [m]; widths from priors are exact.
+
+    Widths are smoothed as shares of the greatest one.
+    """
+    unit = gripper.max_finger_m / MAX_FINGER_M
     measured = [
         (2 * p.finger_m, 2 * p.finger_sigma_m) if p and ok else (np.nan,) * 2
         for p, ok in zip(poses, tracked, strict=True)
@@ -346,4 +371,4 @@ def _gripper_width(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_]
         from_prior = np.isfinite(priors.finger_width_m)
         width = np.where(from_prior, priors.finger_width_m, width)
         sigma = np.where(from_prior, 0.0, sigma)
-    return np.where(tracked, smooth_gripper_width(width, sigma, by_edges), np.nan)
+    return np.where(tracked, unit * smooth_gripper_width(width / unit, sigma / unit, by_edges), np.nan)

@@ -57,10 +57,9 @@ def main() -> None:
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of crops and weights.")
 @_demos("to train on")
 @click.option(
-    "--arm",
-    is_flag=True,
-    help="Train the network of the arm alone: most scenes show a gripper that is not Franka's; name another --data.",
-)
+    "--network", type=click.Choice(["gripper", "robotiq", "arm"]), default="gripper", show_default=True,
+    help="Network of the Franka hand, of the Robotiq 2F-85, or of the arm alone; each needs its own --data.",
+)  # fmt: skip
 @click.option(
     "--start", type=EXISTING_FILE,
     help="Initial weights (safetensors).  [default: an encoder trained on ImageNet]",
@@ -75,19 +74,23 @@ def train(
     learning_rate: float,
     seed: int,
     demos: tuple[Path, ...],
-    arm: bool,
+    network: str,
     start: Path | None,
     jobs: int,
 ) -> None:
     """Render frames and train the gripper network on them, on the GPU if there is one."""
+    from training.layout import TrainedNetwork
     from training.loop import Schedule
     from training.render import render
     from training.train import TrainingConfig
     from training.train import train as run
 
-    render(data, range(scenes), jobs, click.echo, arm=arm)
+    trained = TrainedNetwork(network)
+    render(data, range(scenes), jobs, click.echo, trained)
     schedule = Schedule(steps=steps, learning_rate=learning_rate, batch_size=batch_size, seed=seed)
-    weights = run(TrainingConfig(data=(data, *demos), out=out, start=start, schedule=schedule, arm=arm), click.echo)
+    weights = run(
+        TrainingConfig(data=(data, *demos), out=out, start=start, schedule=schedule, network=trained), click.echo
+    )
     click.echo(f"weights: {weights}; next: python -m training calibrate --weights {weights}")
 
 

@@ -8,8 +8,8 @@ from training.texture import random_photograph, random_texture
 
 Image = NDArray[np.uint8]
 
-_GAINS = (0.4, 1.5)
-"""Range of the factor of the exposure: videos of dim rooms use half of the range."""
+_GAINS = (0.2, 1.5)
+"""Range of the factor of the exposure: videos of dark rooms use a third of the range."""
 
 
 def _colour(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from kinebench_drake.models.panda.description import source_urdf
 from training.layout import (
@@ -21,6 +22,10 @@ _OTHER_ROBOTS = (
     *("g1_humanoid/g1_simplified_upper_body.urdf", "xarm7/xarm7_ability_right_hand.urdf"),
 )
 """Descriptions below the installed mani_skill package's robots."""
+
+
+_TEXTURE_M = 0.1
+"""Size of a texture on a mesh [m]."""
 
 
 class Clutter:
@@ -54,6 +59,24 @@ class Clutter:
         builder.add_box_visual(half_size=half, material=self._material(surface))
         builder.set_initial_pose(self._sapien.Pose(position))
         return builder.build_kinematic(name="room")
+
+    def body(self, mesh: trimesh.Trimesh, surface: Surface) -> Any:
+        """Return a new actor with the shape of a mesh [m]."""
+        builder = self._scene.create_actor_builder()
+        builder.set_initial_pose(self._sapien.Pose(FAR_AWAY))
+        actor = builder.build_kinematic(name="body")
+        flat = mesh.vertices[mesh.faces].reshape(-1, 3)
+        shape = self._sapien.render.RenderShapeTriangleMesh(
+            vertices=flat.astype(np.float32),
+            triangles=np.arange(len(flat), dtype=np.uint32).reshape(-1, 3),
+            normals=np.repeat(mesh.face_normals, 3, axis=0).astype(np.float32),
+            uvs=flat[:, :2].astype(np.float32) / _TEXTURE_M,
+            material=self._material(surface),
+        )
+        render_body = self._sapien.render.RenderBodyComponent()
+        render_body.attach(shape)
+        actor.add_component(render_body)
+        return actor
 
     def object(self, half: float) -> Any:
         """Return a new hidden primitive with half thickness `half` [m]."""

@@ -27,7 +27,7 @@ from kinebench_drake.models.perception.network import COORDINATE_SCALE_M, DEPTH_
 from training.augment import degrade, occlude, replace_background
 from training.frame import DEPTH_UNIT_M, RenderedFrame
 
-CLOSE_EVERY = 4
+CLOSE_EVERY = 2
 """Interval of the steps on close crops of the gripper; the others use wide ones, which show frames or arms."""
 _MIN_TARGET_PX = 60
 _DOUBLED = 0.12

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array, from_quaternion, make_pose, rotation_exp, rotation_z
+from kinebench_drake.models.panda.description import HAND_LINK
 from training.texture import random_photograph, random_texture
 from training.viewpoint import ViewBounds
 
@@ -57,6 +58,11 @@ def random_surface(rng: np.random.Generator) -> Surface:
 
 def _dark_surface(rng: np.random.Generator) -> Surface:
     return Surface(colour=rng.uniform(0.0, 0.25) * np.ones(3), roughness=float(rng.uniform(0.2, 1.0)))
+
+
+def _grey_surface(rng: np.random.Generator) -> Surface:
+    metallic = float(rng.choice([0.0, 0.5]))
+    return Surface(colour=rng.uniform(0.2, 0.8) * np.ones(3), roughness=float(rng.uniform(0.2, 1.0)), metallic=metallic)
 
 
 def random_paint(rng: np.random.Generator) -> Callable[[Array], Surface | None]:
@@ -131,6 +137,17 @@ def random_room(
     return ViewBounds(tuple(lower), tuple(upper))
 
 
+class TrainedNetwork(Enum):
+    """Network that frames are rendered for."""
+
+    GRIPPER = "gripper"
+    """Arm and Franka hand."""
+    ROBOTIQ = "robotiq"
+    """Arm and Robotiq 2F-85."""
+    ARM = "arm"
+    """The arm alone: most scenes show a gripper that is not Franka's."""
+
+
 class ShownGripper(Enum):
     """Gripper that a random scene shows."""
 
@@ -138,6 +155,7 @@ class ShownGripper(Enum):
     NONE = "none"
     OTHER = "other"
     """A random one, of boxes."""
+    ROBOTIQ = "robotiq"
 
 
 class SolidKind(IntEnum):
@@ -235,7 +253,7 @@ def random_gripper(rng: np.random.Generator) -> list[Attachment]:
 
     def add(half: Array, p_GA: Array, R_GA: Array, look: Surface) -> None:
         X_HA = make_pose(R_HG @ R_GA, R_HG @ p_GA)
-        gripper.append(Attachment(link="panda_hand", half=tuple(half.tolist()), X_LA=X_HA, surface=look))
+        gripper.append(Attachment(link=HAND_LINK, half=tuple(half.tolist()), X_LA=X_HA, surface=look))
 
     adapter = (rng.uniform(0.035, 0.048), rng.uniform(0.003, 0.02))
     palm = rng.uniform([0.025, 0.02], [0.06, 0.06])
@@ -259,6 +277,52 @@ def random_gripper(rng: np.random.Generator) -> list[Attachment]:
     return gripper + _random_mount(rng) + _random_bracket(rng) + _random_cable(rng)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GripperLook:
+    """How a gripper of known shape is mounted and painted."""
+
+    X_HR: Array
+    """(4, 4) pose of its mounting face in panda_hand [m]."""
+    hand: Surface
+    fingers: Surface
+    knuckles: Surface
+    attachments: list[Attachment]
+    """Adapter, mounts, cameras and cables."""
+
+
+def random_mounted(rng: np.random.Generator) -> GripperLook:
+    """Return a random look of a gripper, turned against panda_hand by eighths of a turn, on an adapter of any height.
+
+    Turns of half a turn more look alike, and are left out: networks could not tell them.
+    """
+    turn = np.pi / 4 * rng.integers(4) + rng.normal(0.0, np.deg2rad(2.0))
+    height = float(rng.uniform(0.0, 0.022))
+    adapter = _dark_surface(rng) if rng.random() < 0.5 else random_surface(rng)
+    wide = float(rng.uniform(0.03, 0.04))
+    attachments = [
+        _attach(
+            HAND_LINK, (wide, 0.7 * wide, height / 2), [0.0, 0.0, height / 2], np.array([0, 0, k * np.pi / 4]), adapter
+        )
+        for k in range(2)
+    ]
+    for add in (_random_mount, _random_bracket, _random_bracket, _random_cable, _random_cable):
+        attachments += add(rng)
+    kind = rng.random()
+    if kind < 0.6:
+        surfaces = [_dark_surface(rng), _dark_surface(rng), _grey_surface(rng)]
+    elif kind < 0.8:
+        surfaces = [_grey_surface(rng) for _ in range(3)]
+    else:
+        surfaces = [random_surface(rng) for _ in range(3)]
+    return GripperLook(
+        X_HR=make_pose(rotation_z(turn), [0.0, 0.0, height]),
+        hand=surfaces[0],
+        fingers=surfaces[1],
+        knuckles=surfaces[0] if rng.random() < 0.3 else surfaces[2],
+        attachments=attachments,
+    )
+
+
 def _attach(link: str, half: tuple[float, ...], p_LA: ArrayLike, turn: Array, surface: Surface) -> Attachment:
     return Attachment(link=link, half=half, X_LA=make_pose(rotation_exp(turn), p_LA), surface=surface)
 
@@ -272,7 +336,7 @@ def _random_mount(rng: np.random.Generator) -> list[Attachment]:
         for _ in range(rng.integers(1, 4)):
             half = tuple(float(h) for h in rng.uniform([0.008, 0.012, 0.006], [0.03, 0.06, 0.03]))
             p_HA = [side * (0.032 + half[0] + rng.uniform(0, 0.03)), rng.normal(0, 0.02), rng.uniform(-0.05, 0.06)]
-            attachments.append(_attach("panda_hand", half, p_HA, rng.normal(0, 0.2, 3), surface))
+            attachments.append(_attach(HAND_LINK, half, p_HA, rng.normal(0, 0.2, 3), surface))
     return attachments
 
 
@@ -288,8 +352,8 @@ def _random_bracket(rng: np.random.Generator) -> list[Attachment]:
     camera = random_surface(rng) if rng.random() < 0.6 else _dark_surface(rng)
     half = tuple(float(h) for h in rng.uniform([0.008, 0.015, 0.008], [0.02, 0.06, 0.02]))
     return [
-        _attach("panda_hand", (reach / 2, float(rng.uniform(0.02, 0.045)), 0.004), 0.5 * reach * ahead, turn, plate),
-        _attach("panda_hand", half, reach * ahead + [0.0, 0.0, rng.normal(0, 0.02)], turn, camera),
+        _attach(HAND_LINK, (reach / 2, float(rng.uniform(0.02, 0.045)), 0.004), 0.5 * reach * ahead, turn, plate),
+        _attach(HAND_LINK, half, reach * ahead + [0.0, 0.0, rng.normal(0, 0.02)], turn, camera),
     ]
 
 

@@ -8,16 +8,21 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.environment import native
 from kinebench_drake.geometry import Array, invert, make_pose, orthonormalize, transform_points
 from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H
-from kinebench_drake.models.panda.description import GRIPPER, LINK_OF, RobotPart, source_urdf
+from kinebench_drake.models.gripper import PARTS, GripperModel
+from kinebench_drake.models.panda.cad import MAX_FINGER_M
+from kinebench_drake.models.panda.description import GRIPPER, HAND_LINK, LINK_OF, RobotPart, source_urdf
+from kinebench_drake.models.robotiq.cad import robotiq_2f85
 from training.clutter import Clutter
 from training.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, label_parts, varied_camera
 from training.layout import (
     FAR_AWAY,
+    GripperLook,
     ShownGripper,
     random_attachments,
     random_finger,
     random_grasp,
     random_gripper,
+    random_mounted,
     random_paint,
     random_places,
     random_room,
@@ -36,13 +41,46 @@ _NEAR_BENCHMARK = 0.2
 """Share of frames from near the benchmark camera."""
 _FAR_M = 15.0
 _ATTACHMENTS = {ShownGripper.FRANKA: random_attachments, ShownGripper.OTHER: random_gripper}
+_GRASP_SHIFT_M = 0.045
+"""Distance between the pads of the Robotiq 2F-85 and those of the Franka hand from the face behind them [m]."""
+
+
+class MountedGripper:
+    """Gripper of known shape on the arm's flange."""
+
+    def __init__(self, clutter: Clutter, model: GripperModel, look: GripperLook) -> None:
+        """Add its bodies to a scene."""
+        self.model = model
+        self.look = look
+        surfaces = {
+            RobotPart.LEFT_FINGER: look.fingers,
+            RobotPart.RIGHT_FINGER: look.fingers,
+            RobotPart.HAND: look.hand,
+        }
+        self._bodies = {
+            body: clutter.body(mesh, surfaces[RobotPart(body)] if body < PARTS else look.knuckles)
+            for body, mesh in model.meshes.items()
+        }
+        self.part_of_id = {actor.per_scene_id: RobotPart(model.part_of[body]) for body, actor in self._bodies.items()}
+        """Part by the id of its pixels."""
+
+    def place(self, sapien: Any, X_BR: Array, finger_m: float) -> None:
+        """Move it to the pose `X_BR` (4, 4) of its mounting face in the base frame [m], at an opening [m]."""
+        X_BP = self.model.open(np.tile(X_BR, (PARTS, 1, 1)), finger_m)
+        for body, actor in self._bodies.items():
+            actor.set_pose(sapien.Pose(X_BP[body]))
 
 
 class TrainingScene:
     """Table, walls, loose objects, lights and a Panda; `frame` draws new poses for all of them and renders."""
 
-    def __init__(self, rng: np.random.Generator, gripper: ShownGripper = ShownGripper.FRANKA) -> None:
-        """Build the scene from `rng`; without Franka's gripper, hand and fingers are hidden."""
+    def __init__(
+        self, rng: np.random.Generator, gripper: ShownGripper = ShownGripper.FRANKA, *, labels_franka: bool = True
+    ) -> None:
+        """Build the scene from `rng`; without Franka's gripper, hand and fingers are hidden.
+
+        Pixels of Franka's gripper count as background unless `labels_franka`.
+        """
         native.prepare_vulkan()
         import sapien
 
@@ -68,8 +106,13 @@ class TrainingScene:
         self._payload = self._clutter.object(half), half
         if rng.random() < 0.2:
             self._clutter.other_robot()
-        self._add_robot(hides_hand=gripper is not ShownGripper.FRANKA)
+        self._add_robot(hides_hand=gripper is not ShownGripper.FRANKA, labels_hand=labels_franka)
         attachments = _ATTACHMENTS[gripper](rng) if gripper in _ATTACHMENTS else []
+        self._mounted: MountedGripper | None = None
+        if gripper is ShownGripper.ROBOTIQ:
+            self._mounted = MountedGripper(self._clutter, robotiq_2f85(), random_mounted(rng))
+            self._part_of_id |= self._mounted.part_of_id
+            attachments = self._mounted.look.attachments
         self._attachments = self._clutter.add_attachments(attachments)
         self._component: Any = None
 
@@ -98,7 +141,7 @@ class TrainingScene:
             position = [*rng.uniform(-1.0, 1.5, 2), rng.uniform(0.6, 2.0)]
             self._scene.add_point_light(position, (rng.uniform(0.2, 1.5) * rng.uniform(0.8, 1.0, 3)).tolist())
 
-    def _add_robot(self, *, hides_hand: bool) -> None:
+    def _add_robot(self, *, hides_hand: bool, labels_hand: bool) -> None:
         """Load the Panda, in three of ten scenes the one with a wrist camera, and paint it."""
         rng = self._rng
         urdf = "panda_v3.urdf" if rng.random() < 0.3 else "panda_v2.urdf"
@@ -111,11 +154,13 @@ class TrainingScene:
         self._part_of_id = {}
         for name, link in self._links.items():
             part = part_of.get(name, RobotPart.BACKGROUND)
+            if part in GRIPPER and not labels_hand:
+                part = RobotPart.BACKGROUND
             self._part_of_id[link.entity.per_scene_id] = part
             body = link.entity.find_component_by_type(self._sapien.render.RenderBodyComponent)
             if body is None:
                 continue
-            if hides_hand and part in GRIPPER:
+            if hides_hand and part_of.get(name) in GRIPPER:
                 body.visibility = 0.0
             for shape in body.render_shapes:
                 for piece in getattr(shape, "parts", []):
@@ -168,9 +213,16 @@ class TrainingScene:
         holds = bool(self._rng.random() < 0.35)
         finger = self._payload[1] if holds else random_finger(self._rng)
         X_BL = self._link_poses(self._postures.draw(self._rng), finger)
-        X_BH = X_BL["panda_hand"].copy()
+        X_BH = X_BL[HAND_LINK].copy()
         X_BH[:3, :3] = orthonormalize(X_BH[:3, :3])
-        self._place_objects(X_BH, holds)
+        X_BT = X_BH
+        if self._mounted is not None:
+            X_BH = X_BH @ self._mounted.look.X_HR
+            X_BL = X_BL | {HAND_LINK: X_BH}
+            finger *= self._mounted.model.max_finger_m / MAX_FINGER_M
+            self._mounted.place(self._sapien, X_BH, finger)
+            X_BT = X_BH @ make_pose(np.eye(3), [0.0, 0.0, _GRASP_SHIFT_M])
+        self._place_objects(X_BT, holds)
         camera = self._draw_camera(X_BH)
         component = self._aim(camera)
         self._scene.update_render()

@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.nn import functional
 from torch.utils.data import DataLoader
 
 from kinebench_drake.models.panda.description import ARM, RobotPart
-from kinebench_drake.models.perception.network import ARM_WEIGHTS, WEIGHTS, DenseOutput, GripperNetwork, load_network
+from kinebench_drake.models.perception.network import DenseOutput, GripperNetwork, load_network
 from training.crops import GRIPPER_TARGET, WRIST_TARGET, Crops, Shards, Steps
+from training.layout import TrainedNetwork
 from training.loop import Batch, LossTerms, Schedule, load_imagenet, optimise, pick_device, save_weights
 
 _PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, *[1.0] * len(ARM))
@@ -34,8 +35,8 @@ class TrainingConfig:
     """Initial weights; if None, an ImageNet encoder."""
     schedule: Schedule
     """Schedule; its examples are crops."""
-    arm: bool = False
-    """True for the network of the arm alone: crops show the last links, and weights are named `arm.safetensors`."""
+    network: TrainedNetwork = TrainedNetwork.GRIPPER
+    """Network to train: its weights bear its name; crops of that of the arm alone show the last links."""
     workers: int = 1
     """Processes that prepare batches."""
 
@@ -68,6 +69,43 @@ def losses(output: DenseOutput, batch: Batch) -> LossTerms:
     return LossTerms(total=3.0 * terms["part"] + terms["coordinates"] + terms["depth"], reported=terms)
 
 
+@torch.no_grad()
+def likelier_half_turn(output: DenseOutput, batch: Batch) -> Batch:
+    """Return a batch with, in each crop, the labels of the gripper after half a turn if the output is nearer to them.
+
+    A gripper that looks the same after half a turn about its axis has no better label, and one that is demanded
+    nevertheless teaches the mean of both (Pitteri et al., "On object symmetries and 6D pose estimation from images",
+    3DV 2019).
+    """
+    part = batch["part"]
+    turned_part = part.clone()
+    turned_part[part == int(RobotPart.LEFT_FINGER)] = int(RobotPart.RIGHT_FINGER)
+    turned_part[part == int(RobotPart.RIGHT_FINGER)] = int(RobotPart.LEFT_FINGER)
+    gripper = (part > int(RobotPart.BACKGROUND)) & (part < int(ARM[0]))
+    half_turn = torch.tensor([-1.0, -1.0, 1.0], device=part.device)[None, :, None, None]
+    coordinates = batch["coordinates"]
+    turned = torch.where(gripper[:, None], coordinates * half_turn, coordinates)
+
+    def misfit(part: Tensor, coordinates: Tensor) -> Tensor:
+        """Return the loss (B,) of the gripper's pixels."""
+        error = (output.coordinates[:, 0] - coordinates).abs().sum(dim=1) * torch.exp(
+            -output.coordinate_log_scale[:, 0]
+        )
+        labels = functional.cross_entropy(output.part_logits, part, reduction="none")
+        return ((error + labels) * gripper).sum(dim=(1, 2))
+
+    is_turned = misfit(turned_part, turned) < misfit(part, coordinates)
+    return batch | {
+        "part": torch.where(is_turned[:, None, None], turned_part, part),
+        "coordinates": torch.where(is_turned[:, None, None, None], turned, coordinates),
+    }
+
+
+def symmetric_losses(output: DenseOutput, batch: Batch) -> LossTerms:
+    """Return the `losses` of a gripper that looks the same after half a turn."""
+    return losses(output, likelier_half_turn(output, batch))
+
+
 def forward(network: nn.Module, batch: Batch) -> DenseOutput:
     """Return the output of the network for the images of a batch."""
     images = (batch["image"].float() / 255.0).contiguous(memory_format=torch.channels_last)
@@ -89,7 +127,9 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
     else:
         network = load_network(config.start)
     network.to(pick_device()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    crops = Crops(Shards(config.data), schedule.seed, WRIST_TARGET if config.arm else GRIPPER_TARGET)
+    crops = Crops(
+        Shards(config.data), schedule.seed, WRIST_TARGET if config.network is TrainedNetwork.ARM else GRIPPER_TARGET
+    )
 
     def batches(start: int) -> Iterable[Batch]:
         steps = Steps(range(start, schedule.steps), schedule.batch_size)
@@ -99,12 +139,12 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
         network,
         batches=batches,
         forward=forward,
-        losses=losses,
+        losses=symmetric_losses if config.network is TrainedNetwork.ROBOTIQ else losses,
         schedule=schedule,
         identity=schedule.identity(),
         folder=config.out,
         report=report,
     )
-    weights = config.out / (ARM_WEIGHTS if config.arm else WEIGHTS).name
+    weights = config.out / f"{config.network.value}.safetensors"
     save_weights(average, weights)
     return weights

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -17,8 +17,7 @@ from kinebench_drake.grounding.registration.hand_contour import HandShape
 from kinebench_drake.grounding.registration.solver import NEAREST_M
 from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.models.panda.cad import MAX_FINGER_M, part_meshes
-from kinebench_drake.models.panda.description import OPENING_SIGN
+from kinebench_drake.models.gripper import PARTS, GripperModel
 from kinebench_drake.segments import segments
 
 # Set on planted faults in home renders of seen assets, and checked on clean ones:
@@ -83,7 +82,7 @@ def find_vanishing(confidence: Array, explained: Array, expected: NDArray[np.boo
     return Detection(kind=AnomalyKind.VANISH, score=score, anomalies=anomalies)
 
 
-def second_gripper(view: GripperView, X_CH: Array | None, camera: Camera) -> float:
+def second_gripper(view: GripperView, X_CH: Array | None, camera: Camera, gripper: GripperModel) -> float:
     """Return the share of a second gripper: its cells over those that the tracked one should cover.
 
     Cells of the `view` of the whole image within the convex outline of the tracked gripper, at `X_CH` (4, 4) in the
@@ -96,7 +95,7 @@ def second_gripper(view: GripperView, X_CH: Array | None, camera: Camera) -> flo
     if X_CH is None:
         sizes = np.sort(stats[1:, cv2.CC_STAT_AREA].astype(float))
         return float(sizes[-2] / sizes[-1]) if count > 2 else 0.0
-    outline = _outline(view, X_CH, camera)
+    outline = _outline(view, X_CH, camera, gripper)
     covered = float(outline.sum())
     if covered == 0.0:
         return 0.0
@@ -106,23 +105,20 @@ def second_gripper(view: GripperView, X_CH: Array | None, camera: Camera) -> flo
     return float(min(1.0, shares.max()))
 
 
-@cache
-def _hull_corners_H() -> Array:
-    """Return the corners (N, 3) of the open gripper's convex hulls in the hand frame [m]."""
-    opened_m = np.array([0.0, MAX_FINGER_M, 0.0])
+@lru_cache(maxsize=4)
+def _hull_corners_H(gripper: GripperModel) -> Array:
+    """Return the corners (N, 3) of the open gripper's convex hulls in its frame [m]."""
+    X_HB = gripper.open(np.tile(np.eye(4), (PARTS, 1, 1)), gripper.max_finger_m)
     return np.concatenate(
-        [
-            np.asarray(mesh.convex_hull.vertices, dtype=np.float64) + OPENING_SIGN[part] * opened_m
-            for part, mesh in part_meshes().items()
-        ]
+        [transform_points(X_HB[body], mesh.convex_hull.vertices) for body, mesh in gripper.meshes.items()]
     )
 
 
-def _outline(view: GripperView, X_CH: Array, camera: Camera) -> NDArray[np.uint8]:
+def _outline(view: GripperView, X_CH: Array, camera: Camera, gripper: GripperModel) -> NDArray[np.uint8]:
     """Return the cells (h, w) inside the convex outline of a gripper at `X_CH` (4, 4)."""
     n = view.part.shape[0]
     outline = np.zeros((n, n), np.uint8)
-    p_C = transform_points(X_CH, _hull_corners_H())
+    p_C = transform_points(X_CH, _hull_corners_H(gripper))
     if p_C[:, 2].min() <= NEAREST_M:
         return outline
     pixel = np.column_stack([camera.project(p_C), np.ones(len(p_C))])

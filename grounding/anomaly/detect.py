@@ -36,6 +36,7 @@ from kinebench_drake.grounding.registration.hand_contour import HandShape
 from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import GRIPPER_CENTRE_H, GripperView
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.models.gripper import GripperModel
 from kinebench_drake.segments import finite_rows
 from kinebench_drake.track import Domain
 
@@ -155,13 +156,14 @@ def gather_evidence(
     confidence: Array,
     motion: CameraMotion,
     domain: Domain,
+    gripper: GripperModel,
     explain: Callable[[NDArray[np.bool_]], tuple[Absence | None, ...]],
 ) -> AnomalyEvidence:
     """Compute the input of the detectors for the frames (T, H, W, 3) of a video.
 
-    Poses (T,), with flips resolved, are in the `camera` of the first frame; their confidence (T,) is 0 where there is
-    none, and `wide` (T,) are views of whole images. `explain` tells why it is not found in frames without it, from
-    those (T,) with it.
+    Poses (T,) of the `gripper`, with flips resolved, are in the `camera` of the first frame; their confidence (T,) is 0
+    where there is none, and `wide` (T,) are views of whole images. `explain` tells why it is not found in frames
+    without it, from those (T,) with it.
     """
     n = len(frames)
     familiar = domain is Domain.FAMILIAR
@@ -192,7 +194,7 @@ def gather_evidence(
                 scale[i] = pose.arm.scale
     X_SA = invert(motion.X_AS)
     other = [
-        second_gripper(view, None if pose is None else X @ pose.X_CH, camera) if familiar else np.nan
+        second_gripper(view, None if pose is None else X @ pose.X_CH, camera, gripper) if familiar else np.nan
         for view, pose, X in zip(wide, poses, X_SA, strict=True)
     ]
     present = (confidence >= _FAIR_CONFIDENCE) & (explained >= bounds.ABSENT_CELLS)

@@ -37,7 +37,6 @@ from kinebench_drake.grounding.registration.image import EdgePoints, GradientIma
 from kinebench_drake.grounding.registration.solver import MIN_POINTS
 from kinebench_drake.grounding.tracking.view import OPENING_SIGNS
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.cad import open_fingers
 from kinebench_drake.models.panda.description import ARM, RobotPart
 from kinebench_drake.segments import evenly
 
@@ -113,7 +112,7 @@ class ContourImages:
     ) -> Iterator[tuple[GradientImage, EdgePoints | None]]:
         """Yield each image with the visible contour points of some parts, in its pixels; None without any."""
         used = tuple(part for part in parts if part not in self.left_out)
-        X_CP = open_fingers(scene.lens.X_CB @ self.model.poses(scene.q), scene.finger_m)
+        X_CP = self.model.gripper.open(scene.lens.X_CB @ self.model.poses(scene.q), scene.finger_m)
         for image, own in zip(self.images, X_CP, strict=True):
             camera = scene.lens.intrinsics.resized(image.camera.width, image.camera.height)
             yield image, self.matcher.project(own, camera, used)

@@ -36,9 +36,9 @@ from kinebench_drake.grounding.tracking.localization import PART_CELLS
 from kinebench_drake.grounding.tracking.view import DenseEstimator
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.progress import tell
-from kinebench_drake.models.panda.description import RobotPart, hand_from_tcp
+from kinebench_drake.models.panda.description import GripperKind, RobotPart, hand_from_tcp
 from kinebench_drake.segments import evenly, finite_rows
-from kinebench_drake.track import Domain, GripperTrack
+from kinebench_drake.track import GripperTrack
 
 # Checked on right and wrong cameras, of which no wrong one may be accepted:
 # `python -m benchmarks cameras FOLDER --out OUT --presented plain,named,mirrored,short_focal,long_focal`.
@@ -100,7 +100,7 @@ class CameraChecker:
     def track_agreement(self, frames: Frames, camera: Camera, result: PipelineResult) -> float | None:
         """Return the share of the contours of hand and arm on image edges in the postures of a track; None without any.
 
-        Mean over frames. Of a moving camera those before it moves count; of the arm alone the hand's contours do not.
+        Mean over frames. Of a moving camera those before it moves count; contours of other hands than Franka's do not.
         """
         q = result.arm_q
         track = result.track
@@ -116,7 +116,7 @@ class CameraChecker:
         finger_m = np.nan_to_num(track.finger_width_m[chosen] / 2, nan=UNSEEN_FINGER_M)
         scene = ArmScene(lens=Lens.of_camera(camera), q=q[chosen], finger_m=finger_m)
         images = self._fitter.images(frames[chosen], camera)
-        if result.domain is Domain.ARM:
+        if result.gripper is not GripperKind.FRANKA:
             images = images.without(RobotPart.HAND)
         return float(images.agreement(scene).mean())
 
@@ -374,7 +374,8 @@ def check_named(
     if agreement is not None and agreement >= CONFIRMED:
         return choice
     tell("the arm does not confirm the camera: searching for another focal length")
-    other = None if result.domain is Domain.ARM else checker.find_contradiction(frames, camera)
+    is_franka = result.gripper is GripperKind.FRANKA
+    other = checker.find_contradiction(frames, camera) if is_franka else None
     reason = None
     if other is not None and (other.gripper_m > LARGE_M or other.gripper_rad > _LARGE_RAD):
         reason = f"{BASE_UNKNOWN}: {other.describe()}"

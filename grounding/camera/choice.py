@@ -80,22 +80,17 @@ class CameraChooser:
     def ground_trusted(self, choice: CameraChoice) -> GroundingResult:
         """Ground with a camera that is taken as exact."""
         view = self._view(choice)
-        return view.result(self._ground_hand(view))
+        return view.result(self._ground(view))
 
     def ground_named(self, choice: CameraChoice) -> GroundingResult:
         """Ground with the named camera, and check it."""
         view = self._view(choice)
-        hand: GroundingResult | None = None
-        if not self._seeks_other:
-            hand = self._checked(view, self._ground_hand(view))
-            # Where another reading explains the hand, the arm alone would agree with the wrong one, too.
-            if hand.choice.better_reading is not None or not self._is_lost(hand.measured):
-                return hand
-        arm = self._ground_arm(view)
-        if arm is not None:
-            return self._checked(view, arm)
-        assert hand is not None  # without a hand to measure there is an arm
-        return hand
+        result = self._checked(view, self._ground(view))
+        # Where another reading explains the hand, the arm alone would agree with the wrong one, too.
+        if result.choice.better_reading is not None or not self._is_lost(result.measured):
+            return result
+        other = self._ground_other(view)
+        return result if other is None else self._checked(view, other)
 
     def ground_unnamed(self) -> GroundingResult:
         """Ground with a camera known by name if the arm confirms it, else with an estimated one, else without any.
@@ -103,18 +98,13 @@ class CameraChooser:
         The benchmark camera is tried by the track itself, before any other is looked for.
         """
         benchmark = CameraChoice(camera=benchmark_camera(), source=CameraSource.BENCHMARK)
-        if self._seeks_other:
-            flange = self._confirmed_arm(self._view(benchmark))
-            if flange is None:
-                raise UnmeasurableError(
-                    "no camera is named, and the arm does not confirm the benchmark camera; with another gripper than "
-                    "Franka's no camera is estimated: name it (camera.json)"
-                )
-            return flange
+        usual = usual_camera(self.clip.frames.shape[2], self.clip.frames.shape[1])
         view: _View | None = None
         assumed: GroundingResult | None = None
         with suppress(UnmeasurableError):  # the shape of the video is not that of the benchmark camera's image
             view = self._view(benchmark)
+        if self.gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85):
+            return self._ground_unnamed_other(view, usual)
         if view is not None:
             assumed = self._ground_as_assumed(view)
             if assumed.choice.reason is None or assumed.choice.better_reading is not None:
@@ -131,18 +121,38 @@ class CameraChooser:
             )
             if reading is not None:
                 return view.result(assumed.measured, _misread(assumed.choice, reading))
-        usual = usual_camera(self.clip.frames.shape[2], self.clip.frames.shape[1])
         tell("no camera is known: looking for a hand whatever the camera")
         hands, searched = self.parts.checker.count_hands(self.clip.frames, usual)
-        if not hands and view is not None and (arm := self._confirmed_arm(view)) is not None:
+        if not hands and view is not None and (arm := self._confirmed_other(view)) is not None:
             return arm
+        if not hands and self.gripper is GripperKind.AUTO:
+            other = replace(self, gripper=GripperKind.ROBOTIQ_2F85)._ground_unnamed_other(None, usual)
+            if other.measured.track.tracked.mean() >= _TRACKED_SHARE:
+                return other
         if not hands:
             raise UnmeasurableError(
                 f"no Franka hand is found in any of {searched} frames searched, whatever the camera; is the robot in "
-                f"view? With another gripper name the camera (camera.json){self._advice}"
+                "view? With another gripper than Franka's or a Robotiq 2F-85 name the camera (camera.json)"
+                f"{self._advice}"
             )
         against = None if assumed is None else assumed.choice.reason
         return self._ground_estimated(usual, against or "the arm confirms none that is known by name")
+
+    def _ground_unnamed_other(self, view: _View | None, usual: Camera) -> GroundingResult:
+        """Ground a gripper that is not Franka's with the benchmark camera of `view` if the arm confirms it.
+
+        Else with one that is estimated, if the shape of the gripper is known.
+        """
+        confirmed = None if view is None else self._confirmed_other(view)
+        if confirmed is not None:
+            return confirmed
+        against = "the arm does not confirm the benchmark camera"
+        if self.gripper is GripperKind.NONE:
+            raise UnmeasurableError(
+                f"no camera is named, and {against}; by an arm whose gripper is unknown none is estimated: name it "
+                "(camera.json)"
+            )
+        return self._ground_estimated(usual, against)
 
     def _ground_recognized(self, recognition: Recognition) -> GroundingResult:
         """Ground with a camera that is recognized; without a base frame unless the arm of the track confirms it."""
@@ -157,7 +167,7 @@ class CameraChooser:
                 applied_reading=recognition.reading,
             )
         )
-        measured = self._ground_hand(view)
+        measured = self._ground(view)
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
         reason = None
         if agreement is None or agreement < bounds.AGREEMENT:
@@ -172,7 +182,7 @@ class CameraChooser:
         estimate: CameraEstimate | None = None
         tell(f"estimating the camera from the arm, which takes minutes{self._advice}")
         try:
-            estimate = self.parts.cameras.estimate(self.clip.frames, usual)
+            estimate = self.parts.of(self._tracked).cameras.estimate(self.clip.frames, usual)
             doubt = estimate.misfit
         except UnmeasurableError as error:
             doubt = str(error)
@@ -180,7 +190,7 @@ class CameraChooser:
         choice = CameraChoice(camera=usual if estimate is None else estimate.camera, source=source, estimate=estimate)
         view = self._view(choice)
         tell("tracking with the estimated camera")
-        measured = self._ground_hand(view)
+        measured = self._ground(view)
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
         reading = None
         if doubt is None:
@@ -209,7 +219,7 @@ class CameraChooser:
     def _ground_rival(self, choice: CameraChoice, camera: Camera, estimate: CameraEstimate) -> GripperTrack | None:
         """Return the track with a camera that may be right instead of the estimate; None if it is not confirmed."""
         view = self._view(replace(choice, camera=camera))
-        measured = self._ground_hand(view)
+        measured = self._ground(view)
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
         return None if agreement is None or agreement < bounds.AGREEMENT else _with_offset(measured, estimate).track
 
@@ -218,7 +228,7 @@ class CameraChooser:
 
         Where edges contradict the camera poses are not refined, since another one is likely.
         """
-        measured = self._ground_hand(replace(view, priors=replace(view.priors, camera_is_assumed=True)))
+        measured = self._ground(replace(view, priors=replace(view.priors, camera_is_assumed=True)))
         agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
         choice = replace(view.choice, agreement=agreement)
         if measured.domain is not Domain.FAMILIAR or agreement is None or agreement < CONFIRMED:
@@ -228,14 +238,16 @@ class CameraChooser:
         reading = find_reading(view.frames, view.camera, agreement, self.parts.checker)
         return view.result(measured, choice if reading is None else _misread(choice, reading))
 
-    def _confirmed_arm(self, view: _View) -> GroundingResult | None:
-        """Track the flange with the benchmark camera; None if its arm does not confirm the camera."""
-        arm = None if self.gripper is GripperKind.FRANKA else self._ground_arm(view)
-        if arm is None:
+    def _confirmed_other(self, view: _View) -> GroundingResult | None:
+        """Track another gripper with the benchmark camera; None if its arm does not confirm the camera."""
+        if self.gripper is GripperKind.FRANKA:
             return None
-        agreement = self.parts.checker.track_agreement(view.frames, view.camera, arm)
+        measured = self._ground_other(view) if self.gripper is GripperKind.AUTO else self._ground(view)
+        if measured is None:
+            return None
+        agreement = self.parts.checker.track_agreement(view.frames, view.camera, measured)
         is_confirmed = agreement is not None and agreement >= CONFIRMED
-        return view.result(arm, replace(view.choice, agreement=agreement)) if is_confirmed else None
+        return view.result(measured, replace(view.choice, agreement=agreement)) if is_confirmed else None
 
     @property
     def _advice(self) -> str:
@@ -243,9 +255,9 @@ class CameraChooser:
         return "" if self.clip.conditioning is not None else f"; {FIRST_FRAME_ADVICE}"
 
     @property
-    def _seeks_other(self) -> bool:
-        """Whether another gripper than Franka's is sought from the start."""
-        return self.gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85)
+    def _tracked(self) -> GripperKind:
+        """Gripper that is tracked first."""
+        return GripperKind.FRANKA if self.gripper is GripperKind.AUTO else self.gripper
 
     def _is_lost(self, hand: PipelineResult) -> bool:
         """Return whether a hand is tracked in so few frames that it may be another gripper."""
@@ -292,23 +304,17 @@ class CameraChooser:
         """Return the result of a track with the named camera, checked by it."""
         return view.result(measured, check_named(view.choice, view.frames, view.camera, measured, self.parts.checker))
 
-    def _ground_hand(self, view: _View) -> PipelineResult:
-        return self.parts.hand.ground(view.frames, view.camera, view.t_s, view.priors)
+    def _ground(self, view: _View, gripper: GripperKind | None = None) -> PipelineResult:
+        """Track a gripper, by default the first one."""
+        pipeline = self.parts.of(gripper or self._tracked).pipeline
+        return pipeline.ground(view.frames, view.camera, view.t_s, view.priors)
 
-    def _ground_arm(self, view: _View) -> PipelineResult | None:
-        """Track the flange: by the links alone, else with the contours of a Robotiq 2F-85; None if it is not seen.
-
-        A gripper that is named is measured in any case.
-        """
-        inputs = view.frames, view.camera, view.t_s, view.priors
-        if self._seeks_other:
-            return self.parts.arm(self.gripper).ground(*inputs)
-        for gripper in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85):
-            arm = self.parts.arm(gripper).ground(*inputs)
-            if arm.track.tracked.mean() >= _TRACKED_SHARE:
-                return arm
-            if not arm.track.confidence.any():  # contours of a gripper are sought where there is an arm
-                break
+    def _ground_other(self, view: _View) -> PipelineResult | None:
+        """Track a Robotiq 2F-85, else the flange by the links alone; None if neither is seen."""
+        for gripper in (GripperKind.ROBOTIQ_2F85, GripperKind.NONE):
+            other = self._ground(view, gripper)
+            if other.track.tracked.mean() >= _TRACKED_SHARE:
+                return other
         return None
 
 

@@ -21,10 +21,10 @@ from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit
 from kinebench_drake.grounding.registration.solver import NEAREST_M, Rows
 from kinebench_drake.grounding.tracking.localization import PART_CELLS, find_region, likeliest_gripper
-from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
 from kinebench_drake.grounding.tracking.tracker import PoseTracker
 from kinebench_drake.grounding.tracking.view import CLOSE_MARGIN, CLOSE_SIZE, Crop, DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
+from kinebench_drake.models.gripper import X_HALF_TURN
 from kinebench_drake.models.panda.description import ARM, GRIPPER, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import evenly

@@ -29,9 +29,14 @@ from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, Lens, centred_c
 from kinebench_drake.grounding.camera.surroundings import Surroundings, find_lines, find_surroundings
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
-from kinebench_drake.grounding.tracking.view import DenseEstimator
+from kinebench_drake.grounding.registration.fit import fit
+from kinebench_drake.grounding.tracking.flange_fit import ChainFitter
+from kinebench_drake.grounding.tracking.localization import likeliest_gripper
+from kinebench_drake.grounding.tracking.mount import find_mount
+from kinebench_drake.grounding.tracking.view import CLOSE_MARGIN, CLOSE_SIZE, Crop, DenseEstimator
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.progress import count_steps
+from kinebench_drake.models.gripper import GripperModel
 from kinebench_drake.models.panda.description import RobotPart
 
 # Checked on right and wrong cameras, of which no wrong one may be accepted:
@@ -58,14 +63,14 @@ _CLEARLY = 3.0
 class CameraEstimator:
     """Estimator of cameras; one instance serves any number of videos."""
 
-    def __init__(self, estimator: DenseEstimator) -> None:
-        """Estimate with the dense estimates of `estimator`.
+    def __init__(self, estimator: DenseEstimator, gripper: GripperModel | None = None) -> None:
+        """Estimate with the dense estimates of `estimator` from an arm with a gripper, by default the Franka hand.
 
         Raises:
             SetupError: meshes, native libraries or the robot description are missing.
         """
         self.estimator = estimator
-        self.fitter = CandidateFitter(ArmModel(), EdgeMatcher())
+        self.fitter = CandidateFitter(ArmModel(gripper), EdgeMatcher(gripper))
 
     def estimate(self, frames: Frames, camera: Camera, *, focal_free: bool = True) -> CameraEstimate:
         """Estimate place and focal length of the static camera of a video.
@@ -84,8 +89,24 @@ class CameraEstimator:
                 f"no camera can be estimated: a gripper is seen in {len(detections.rows) if detections else 0} of the "
                 f"frames searched, at least {MIN_FRAMES} are needed"
             )
-        estimate = self.solve(detections, frames[detections.rows], camera, focal_free=focal_free)
+        shown = frames[detections.rows]
+        estimate = self._mounted(shown, camera).solve(detections, shown, camera, focal_free=focal_free)
         return replace(estimate, frames=detections.rows[estimate.frames])
+
+    def _mounted(self, frames: Frames, camera: Camera) -> "CameraEstimator":
+        """Return the estimator for the gripper as frames (T, H, W, 3) show it mounted."""
+        gripper = self.fitter.model.gripper
+        if not gripper.mounts_vary:
+            return self
+        whole = dict.fromkeys(range(len(frames)), Crop.of_frame(camera))
+        wide = dict(self.estimator.estimate(frames, camera, whole))
+        hands = {i: fit(likeliest_gripper(view), gripper.max_finger_m) for i, view in wide.items()}
+        crops = {
+            i: Crop.of_gripper(hand.X_CH, CLOSE_MARGIN, CLOSE_SIZE) for i, hand in hands.items() if hand is not None
+        }
+        chain = ChainFitter(ArmModel())
+        mounted = find_mount(self.estimator, frames, camera, crops, wide, gripper, chain) if crops else gripper
+        return CameraEstimator(self.estimator, mounted)
 
     def solve(self, detections: ArmDetections, frames: Frames, camera: Camera, *, focal_free: bool) -> CameraEstimate:
         """Estimate the camera from detections of the robot in frames (T, H, W, 3); its frames are rows of these.

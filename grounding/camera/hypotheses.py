@@ -19,8 +19,8 @@ from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
 from kinebench_drake.grounding.registration.arm_model import LAST_ANGLES_RAD, USUAL_Q, ArmModel
 from kinebench_drake.grounding.registration.solver import NEAREST_M
 from kinebench_drake.grounding.tracking.flange_fit import MIN_LINK_CELLS
-from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
 from kinebench_drake.kinematics.analytic import analytic_ik
+from kinebench_drake.models.gripper import X_HALF_TURN
 from kinebench_drake.models.panda.description import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import evenly

@@ -46,7 +46,7 @@ from kinebench_drake.grounding.registration.fit import (
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage, follow_surface
 from kinebench_drake.grounding.registration.solver import CellRows, Correspondences, Solution, solve
 from kinebench_drake.grounding.tracking.view import GripperView
-from kinebench_drake.models.panda.cad import open_fingers
+from kinebench_drake.models.gripper import X_HALF_TURN
 from kinebench_drake.models.panda.description import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
@@ -171,6 +171,14 @@ class ArmFitter:
         fitter._X_CB = self._X_CB[list(numbers)]
         return fitter
 
+    def is_turned(self, view: ArmView) -> bool:
+        """Return whether the links of a frame match a hand better that is flipped."""
+        X_CB = self._X_CB[0]
+        posture = find_posture(self._model, view.hand.X_CH, view.links, X_CB)
+        if posture is not None:
+            return posture[2] < posture[1]
+        return find_posture(self._model, view.hand.X_CH @ X_HALF_TURN, view.links, X_CB) is not None
+
     def fit_all(self, views: Sequence[ArmView], rims: Sequence[Correspondences | None]) -> list[ArmFit | None]:
         """Fit the arms of B frames; None where too little of the arm is visible.
 
@@ -214,7 +222,7 @@ class ArmFitter:
 
     def poses(self, arm: ArmFit) -> Array:
         """Return the poses (PARTS, 4, 4) of the parts of an arm in the camera frame [m]."""
-        return open_fingers(self.closed(arm), finger_or_default(arm.finger_m))
+        return self._model.gripper.open(self.closed(arm), finger_or_default(arm.finger_m))
 
     def closed(self, arm: ArmFit) -> Array:
         """Return the same with closed fingers."""
@@ -222,7 +230,7 @@ class ArmFitter:
 
     def _poses(self, arm: ArmHandModel) -> Array:
         """Return the poses (B, PARTS, 4, 4) of the parts in the camera frame [m]."""
-        return open_fingers(arm.X_CB[:, None] @ self._model.poses(arm.q), arm.finger_m)
+        return self._model.gripper.open(arm.X_CB[:, None] @ self._model.poses(arm.q), arm.finger_m)
 
     def _start(self, q: Array, finger_m: Sequence[float], views: Sequence[ArmView], X_CB: Array) -> ArmHandModel:
         return ArmHandModel(
@@ -279,6 +287,7 @@ class ArmFitter:
             finger_m=arm.finger_m,
             finger_free=arm.finger_free,
             pose_free=np.ones(len(views), dtype=bool),
+            max_finger_m=np.full(len(views), arm.model.gripper.max_finger_m),
         )
         by_size = Correspondences.stack([view.gripper for view in views])
         by_size = replace(by_size, range_sigma=np.full_like(by_size.range_sigma, np.inf))

@@ -7,10 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, cross, invert
-from kinebench_drake.grounding.registration.fit import clip_finger, finger_information
+from kinebench_drake.grounding.registration.fit import finger_information
 from kinebench_drake.grounding.registration.solver import CELLS_INDEPENDENT, CellRows, Correspondences, PartPlacement
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.gripper import GripperModel
+from kinebench_drake.models.panda.cad import franka_hand
 from kinebench_drake.models.panda.description import ARM_LINKS, GRIPPER, HAND_LINK, LINK_OF, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
@@ -37,13 +39,14 @@ _SCORED_CELLS = 48
 class ArmModel:
     """Poses of the Panda's parts and joint axes by posture, and which joint moves which part."""
 
-    def __init__(self) -> None:
-        """Load the kinematics.
+    def __init__(self, gripper: GripperModel | None = None) -> None:
+        """Load the kinematics of an arm with a gripper, by default the Franka hand.
 
         Raises:
-            SetupError: the robot description is missing.
+            SetupError: the robot description or meshes are missing.
         """
         plant = ArmPlant()
+        self.gripper = gripper or franka_hand()
         self.lower = plant.lower
         self.upper = plant.upper
         self._chain = plant.chain
@@ -51,10 +54,11 @@ class ArmModel:
         names = [HAND_LINK if part in GRIPPER else LINK_OF[part] for part in parts]
         self._stage = np.array([0, *(self._chain.stage[name] for name in names)])
         self._home = np.stack([np.eye(4), *(self._chain.home[name] for name in names)])
+        self._home[list(GRIPPER)] = self._home[list(GRIPPER)] @ self.gripper.X_MH
         self.moves = np.stack([np.zeros(7), *(self._chain.carries(name) for name in names)])
         """(PARTS, 7) 1 if the joint moves the part, else 0."""
-        self.X_HF = invert(self._chain.home[HAND_LINK]) @ self._chain.home[ARM_LINKS[-1]]
-        """(4, 4) pose of the flange in the hand frame [m]."""
+        self.X_HF = invert(self._home[RobotPart.HAND]) @ self._chain.home[ARM_LINKS[-1]]
+        """(4, 4) pose of the flange in the frame of the gripper [m]."""
 
     def poses(self, q: Array) -> Array:
         """Return the poses (M, PARTS, 4, 4) of the parts' CAD frames in B, fingers closed, at postures `q` (M, 7)."""
@@ -118,7 +122,8 @@ class ArmHandModel:
 
     def updated(self, step: Array) -> Self:
         """Return the arms after a change (B, 8) of their parameters, within the joint limits."""
-        return replace(self, q=self.model.clip(self.q + step[:, :7]), finger_m=clip_finger(self.finger_m + step[:, 7]))
+        finger_m = np.clip(self.finger_m + step[:, 7], 0.0, self.model.gripper.max_finger_m)
+        return replace(self, q=self.model.clip(self.q + step[:, :7]), finger_m=finger_m)
 
     def take(self, index: NDArray[np.generic]) -> Self:
         """Return the arms of some of the frames, by index or mask."""

@@ -7,7 +7,7 @@ network was not trained on, from a posture that is right within a few pixels.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -15,13 +15,13 @@ import trimesh
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, invert, make_pose, rotation_z
+from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
 from kinebench_drake.grounding.registration.solver import MIN_POINTS, NEAREST_M, Correspondences, edge_frames
 from kinebench_drake.grounding.tracking.view import OPENING_SIGNS
-from kinebench_drake.models.panda.cad import PartCaster, link_meshes, part_meshes
+from kinebench_drake.models.gripper import GripperModel
+from kinebench_drake.models.panda.cad import PartCaster, franka_hand, link_meshes
 from kinebench_drake.models.panda.description import OPENING_SIGN, RobotPart
-from kinebench_drake.models.robotiq.cad import CLOSED_RAD, robotiq_mesh
 
 _HIDDEN = 3
 """Points on edges that are cast for each point that is visible."""
@@ -56,11 +56,6 @@ RIGID = tuple(part for part in ROBOT if not OPENING_SIGN.get(part))
 WRIST = (RobotPart.HAND, RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
 FLANGE = (RobotPart.HAND, RobotPart.LINK7)
 """Parts that look different after half a turn of the last joint."""
-OPENINGS = 5
-"""Openings at which the contours of a gripper are known, from open to closed."""
-_TOLERANCE_PX = 2.0
-"""The same of a gripper's contours [px]: openings between two of them fit either."""
-_GRIPPER = (RobotPart.HAND,)
 _BODY_RADIUS_M = 0.038
 """Radius of the body that hides the flange where an unknown gripper would [m]."""
 _BODY_LENGTH_M = 0.09
@@ -87,45 +82,48 @@ class EdgeMesh:
 
 
 @cache
-def _arm_edges() -> dict[RobotPart, EdgeMesh]:
-    return _edges_of(link_meshes())
+def _arm_edges() -> dict[int, EdgeMesh]:
+    return _edges_of({int(part): mesh for part, mesh in link_meshes().items()})
 
 
-def _edges_of(meshes: Mapping[RobotPart, trimesh.Trimesh]) -> dict[RobotPart, EdgeMesh]:
+def _edges_of(meshes: Mapping[int, trimesh.Trimesh]) -> dict[int, EdgeMesh]:
     return {
-        part: EdgeMesh(
+        body: EdgeMesh(
             ends=np.asarray(mesh.vertices, dtype=np.float64)[mesh.face_adjacency_edges],
             faces=np.ascontiguousarray(mesh.face_adjacency.T, dtype=np.int32),
             normals=np.asarray(mesh.face_normals, dtype=np.float64),
             offsets=np.asarray((mesh.face_normals * mesh.triangles_center).sum(axis=1)),
         )
-        for part, mesh in meshes.items()
+        for body, mesh in meshes.items()
     }
 
 
 class EdgeMatcher:
     """Projection of the robot's edges and their search in images."""
 
-    def __init__(self, gripper: Mapping[RobotPart, trimesh.Trimesh] | None = None) -> None:
-        """Build the ray-casting scenes, with the meshes of another gripper in place of those of the Franka hand.
+    def __init__(self, gripper: GripperModel | None = None) -> None:
+        """Build the ray-casting scenes of the arm with a gripper, by default the Franka hand.
 
         Raises:
             SetupError: Open3D's native libraries or mani_skill's meshes are missing.
         """
-        meshes = part_meshes() if gripper is None else gripper
-        self._edges = {**_edges_of(meshes), **_arm_edges()}
-        self.caster = PartCaster({**meshes, **link_meshes()})
+        self.gripper = gripper or franka_hand()
+        self._edges = {**_edges_of(self.gripper.meshes), **_arm_edges()}
+        self.caster = PartCaster(self.gripper, link_meshes())
 
     def project(
         self, X_CP: Array, camera: Camera, parts: tuple[RobotPart, ...] = ROBOT, points: int = MAX_POINTS
     ) -> EdgePoints | None:
         """Return at most `points` visible contour points of `parts`, which all parts hide; None if there are none.
 
-        Parts are at `X_CP` (PARTS, 4, 4) in the camera frame [m], here as below.
+        Bodies are at `X_CP` (BODIES, 4, 4) in the camera frame [m], here as below; or parts (PARTS, 4, 4) with the
+        gripper closed.
         """
-        contours = [self._edges[p].contour(invert(X_CP[p])[:3, 3]) for p in parts]
-        placed = [ends @ X_CP[p, :3, :3].T + X_CP[p, :3, 3] for p, ends in zip(parts, contours, strict=True)]
-        of = np.repeat(np.array(parts, np.uint8), [len(ends) for ends in contours])
+        X_CP = self.gripper.complete(X_CP)
+        bodies = self.gripper.bodies_of([part for part in parts if part in self._edges])
+        contours = [self._edges[p].contour(invert(X_CP[p])[:3, 3]) for p in bodies]
+        placed = [ends @ X_CP[p, :3, :3].T + X_CP[p, :3, 3] for p, ends in zip(bodies, contours, strict=True)]
+        of = np.repeat(np.array(bodies, np.uint8), [len(ends) for ends in contours])
         a = np.concatenate(placed)
         a_P = np.concatenate(contours)
         z = np.maximum(a[..., 2], 1e-9)
@@ -156,9 +154,13 @@ class EdgeMatcher:
         edge = edge[kept]
         t = t[kept]
         p_C = p_C[kept]
+        body = of[edge]
+        p_P = a_P[edge, 0] + t * (a_P[edge, 1] - a_P[edge, 0])
+        if self.gripper.linkage is not None:
+            p_P = self.gripper.in_parts(body, p_P, p_C, X_CP)
         return EdgePoints(
-            part=of[edge],
-            p_P=a_P[edge, 0] + t * (a_P[edge, 1] - a_P[edge, 0]),
+            part=self.gripper.part_of[body],
+            p_P=p_P,
             p_C=p_C,
             pixel=camera.project(p_C),
             normal=side[kept, None] * normal[kept],
@@ -254,57 +256,8 @@ class EdgeMatcher:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FlangeShape:
-    """Contours that tell where the flange is: of the links alone, or with a gripper at one or several openings.
-
-    Parts are at `X_CP` (PARTS, 4, 4) in the camera frame [m].
-    """
-
-    edges: tuple[EdgeMatcher, ...]
-    """One for each opening."""
-    gripper: tuple[RobotPart, ...] = ()
-    """Parts whose contours count besides those of the links."""
-
-    def agreement(self, image: GradientImage, X_CP: Array, links: tuple[RobotPart, ...]) -> float:
-        """Return the share of the contours of `links` on edges of the image, or its mean with that of the gripper.
-
-        A hidden gripper has none on edges: a posture that hides one must not look better.
-        """
-        of_links = self.edges[0].agreement(image, X_CP, links)
-        return float(0.5 * (of_links + self.gripper_agreement(image, X_CP).max())) if self.gripper else of_links
-
-    def gripper_agreement(self, image: GradientImage, X_CP: Array) -> Array:
-        """Return the share (OPENINGS,) of the gripper's contours on edges of the image."""
-        return np.array([edges.agreement(image, X_CP, self.gripper, _TOLERANCE_PX) for edges in self.edges])
-
-    def at_likeliest(self, image: GradientImage, X_CP: Array) -> "FlangeShape":
-        """Return the shape at the opening alone whose contours lie best on edges of the image."""
-        likeliest = 0 if len(self.edges) == 1 else int(self.gripper_agreement(image, X_CP).argmax())
-        return replace(self, edges=(self.edges[likeliest],))
-
-
-def links_shape() -> FlangeShape:
-    """Return the shape of the links alone; a round body hides them where an unknown gripper would.
-
-    Raises:
-        SetupError: Open3D's native libraries or mani_skill's meshes are missing.
-    """
+def unknown_gripper() -> GripperModel:
+    """Return a round body that hides the last links where an unknown gripper would."""
     body = trimesh.creation.cylinder(_BODY_RADIUS_M, _BODY_LENGTH_M)
-    return FlangeShape(edges=(EdgeMatcher({_GRIPPER[0]: body.apply_translation([0.0, 0.0, _BODY_LENGTH_M / 2])}),))
-
-
-def robotiq_shape(turn_rad: float, offset_m: float, openings: int = OPENINGS) -> FlangeShape:
-    """Return the shape of a Robotiq 2F-85 on the flange, at some openings.
-
-    Args:
-        turn_rad: turn of its mounting face against panda_hand, about z [rad].
-        offset_m: its distance from panda_hand along z, the thickness of an adapter [m].
-        openings: number of openings, evenly spaced in the turn of its knuckles.
-
-    Raises:
-        SetupError: Open3D's native libraries or mani_skill's meshes are missing.
-    """
-    X_HR = make_pose(rotation_z(turn_rad), [0.0, 0.0, offset_m])
-    meshes = [robotiq_mesh(knuckle).apply_transform(X_HR) for knuckle in np.linspace(0.0, CLOSED_RAD, openings)]
-    return FlangeShape(edges=tuple(EdgeMatcher({_GRIPPER[0]: mesh}) for mesh in meshes), gripper=_GRIPPER)
+    placed = body.apply_translation([0.0, 0.0, _BODY_LENGTH_M / 2])
+    return GripperModel(parts={RobotPart.HAND: placed}, max_finger_m=0.0)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, cross, make_pose, orthonormalize, rotation_exp
 from kinebench_drake.grounding.priors import ExternalDepth
@@ -39,6 +39,8 @@ class HandModel(Rows):
     """(B,) whether the travel is estimated; not if it comes from priors or too little of the fingers is visible."""
     pose_free: NDArray[np.bool_]
     """(B,) whether the pose is estimated."""
+    max_finger_m: Array
+    """(B,) greatest travel of each finger [m]."""
 
     def place(self) -> PartPlacement:
         """Return the poses of the parts: all of them move with the hand."""
@@ -59,7 +61,7 @@ class HandModel(Rows):
     def updated(self, step: Array) -> Self:
         """Return the hands after a change (B, 7) of their parameters, fingers within their range."""
         X_CH = make_pose(rotation_exp(step[:, :3]) @ self.X_CH[:, :3, :3], self.X_CH[:, :3, 3] + step[:, 3:6])
-        return replace(self, X_CH=X_CH, finger_m=clip_finger(self.finger_m + step[:, 6]))
+        return replace(self, X_CH=X_CH, finger_m=np.clip(self.finger_m + step[:, 6], 0.0, self.max_finger_m))
 
 
 def pose_twist(X_CH: Array) -> Array:
@@ -68,11 +70,6 @@ def pose_twist(X_CH: Array) -> Array:
     twist[:, :3, :3] = twist[:, 3:, 3:] = np.eye(3)
     twist[:, 3:, :3] = cross(X_CH[:, None, :3, 3], np.eye(3)).swapaxes(1, 2)
     return twist
-
-
-def clip_finger(finger_m: ArrayLike) -> Array:
-    """Clip finger travels (...) to the gripper's range [m]."""
-    return np.clip(np.asarray(finger_m, dtype=np.float64), 0.0, MAX_FINGER_M)
 
 
 def finger_or_default(finger_m: float) -> float:
@@ -127,7 +124,7 @@ def align(p_A: Array, p_B: Array, weight: Array) -> Array:
     return make_pose(R, mean_A - (R @ mean_B[..., None])[..., 0])
 
 
-def _closed_form(cells: Correspondences, finger_m: Array) -> HandModel:
+def _closed_form(cells: Correspondences, finger_m: Array, max_finger_m: float) -> HandModel:
     """Estimate poses and finger travels of B frames by iteratively reweighted 3-D to 3-D alignment of cells (B, N).
 
     Travels from priors, `finger_m` (B,) [m], are kept; NaN where there is none.
@@ -150,10 +147,14 @@ def _closed_form(cells: Correspondences, finger_m: Array) -> HandModel:
         robust = 1.0 / (1.0 + (error / (2 * scale)) ** 2)
         w = weight * robust * np.abs(sign)
         travel = (w * sign * (cloud_H - cells.p_P)[..., 1]).sum(axis=1) / np.maximum(w.sum(axis=1), 1e-9)
-        finger = np.where(unknown & (w.sum(axis=1) > 0), clip_finger(travel), finger)
+        finger = np.where(unknown & (w.sum(axis=1) > 0), np.clip(travel, 0.0, max_finger_m), finger)
     visible = (exists & (sign != 0)).sum(axis=1) >= _MIN_FINGER_CELLS
     return HandModel(
-        X_CH=X_CH, finger_m=finger, finger_free=unknown & visible, pose_free=np.ones(len(cloud), dtype=bool)
+        X_CH=X_CH,
+        finger_m=finger,
+        finger_free=unknown & visible,
+        pose_free=np.ones(len(cloud), dtype=bool),
+        max_finger_m=np.full(len(cloud), max_finger_m),
     )
 
 
@@ -189,13 +190,16 @@ def _fits_of(
     ]
 
 
-def fit(view: GripperView) -> HandFit | None:
+def fit(view: GripperView, max_finger_m: float = MAX_FINGER_M) -> HandFit | None:
     """Fit the gripper to one view without priors; None where fewer than `MIN_CELLS` cells show it."""
-    return fit_all([view], [None], [None])[0]
+    return fit_all([view], [None], [None], max_finger_m)[0]
 
 
 def fit_all(
-    views: Sequence[GripperView], X_CH: Sequence[Array | None], finger_m: Sequence[float | None]
+    views: Sequence[GripperView],
+    X_CH: Sequence[Array | None],
+    finger_m: Sequence[float | None],
+    max_finger_m: float = MAX_FINGER_M,
 ) -> list[HandFit | None]:
     """Fit the gripper to one view each of B frames; None where fewer than `MIN_CELLS` cells show it.
 
@@ -203,13 +207,16 @@ def fit_all(
         views: dense estimates.
         X_CH: (4, 4) poses of panda_hand in the camera frame from priors [m].
         finger_m: travels of each finger from priors [m].
+        max_finger_m: greatest travel of each finger [m].
     """
     fits: list[HandFit | None] = [None] * len(views)
     cells = {b: own for b, view in enumerate(views) if len(own := gripper_cells(view)) >= MIN_CELLS}
     if not cells:
         return fits
     stacked = Correspondences.stack(list(cells.values()))
-    start = _closed_form(stacked, np.array([np.nan if finger_m[b] is None else finger_m[b] for b in cells], float))
+    start = _closed_form(
+        stacked, np.array([np.nan if finger_m[b] is None else finger_m[b] for b in cells], float), max_finger_m
+    )
     fixed = {row: X for row, b in enumerate(cells) if (X := X_CH[b]) is not None}
     for row, X in fixed.items():
         start.X_CH[row] = X
@@ -222,7 +229,12 @@ def fit_all(
     return fits
 
 
-def refit_all(hands: Sequence[HandFit], views: Sequence[GripperView], rims: Sequence[Correspondences]) -> list[HandFit]:
+def refit_all(
+    hands: Sequence[HandFit],
+    views: Sequence[GripperView],
+    rims: Sequence[Correspondences],
+    max_finger_m: float = MAX_FINGER_M,
+) -> list[HandFit]:
     """Repeat the fits `hands` of B frames with the rims of their silhouettes; those that diverge stay unchanged."""
     if not hands:
         return []
@@ -233,6 +245,7 @@ def refit_all(hands: Sequence[HandFit], views: Sequence[GripperView], rims: Sequ
         finger_m=np.array([finger_or_default(hand.finger_m) for hand in hands]),
         finger_free=np.array([hand.finger_free for hand in hands]),
         pose_free=np.ones(len(hands), dtype=bool),
+        max_finger_m=np.full(len(hands), max_finger_m),
     )
     log_depth_factor = np.log([hand.depth_factor for hand in hands])
     solution = solve(start, joined, np.array([view.depth_factor_sigma for view in views]), log_depth_factor)

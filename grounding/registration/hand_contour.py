@@ -16,7 +16,7 @@ from kinebench_drake.grounding.registration.edges import LEAST_GRADIENT, EdgeMat
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
 from kinebench_drake.grounding.registration.solver import POINTS_INDEPENDENT
 from kinebench_drake.grounding.tracking.view import OPENING_SIGNS
-from kinebench_drake.models.panda.cad import MAX_FINGER_M, open_fingers
+from kinebench_drake.models.panda.cad import MAX_FINGER_M
 from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.segments import evenly
 
@@ -64,9 +64,10 @@ class HandImage:
 def gap_log_likelihoods(edges: EdgeMatcher, hands: Mapping[int, HandImage]) -> dict[int, Array]:
     """Return the log-likelihood (G,) of each of `GAPS_M`, up to a constant, by frame number.
 
-    The mount of the fingers is the one that matches the edges of all frames better.
+    The mount of the fingers is the one that matches the edges of all frames better. Fingers of a linkage move along
+    curves: they have none.
     """
-    if not hands:
+    if not hands or edges.gripper.linkage is not None:
         return {}
     sample = [list(hands)[i] for i in evenly(len(hands), _MOUNT_FRAMES)]
     best = [sum(_log_likelihood(edges, hands[i], mount).max() for i in sample) for mount in MOUNTS_M]
@@ -80,7 +81,7 @@ def _log_likelihood(edges: EdgeMatcher, hand: HandImage, mount_m: float) -> Arra
     result = np.zeros(len(GAPS_M))
     for gaps in np.array_split(np.arange(len(GAPS_M)), _OCCLUSIONS):
         middle_m = float(GAPS_M[gaps].mean())
-        points = edges.project(open_fingers(X_CP, middle_m / 2), hand.image.camera, _FINGERS, _FINGER_POINTS)
+        points = edges.project(edges.gripper.open(X_CP, middle_m / 2), hand.image.camera, _FINGERS, _FINGER_POINTS)
         if points is not None:
             result[gaps] = _contour_log_likelihood(edges, hand, points, GAPS_M[gaps] - middle_m)
     return result

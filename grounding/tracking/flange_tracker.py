@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, pose_difference
@@ -18,7 +17,7 @@ from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.priors import NO_PRIORS, Priors
 from kinebench_drake.grounding.registration.arm_fit import LAST_LINKS, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.edges import links_shape, robotiq_shape
+from kinebench_drake.grounding.registration.edges import EdgeMatcher, unknown_gripper
 from kinebench_drake.grounding.registration.fit import MIN_CELLS
 from kinebench_drake.grounding.registration.image import GradientImages
 from kinebench_drake.grounding.registration.solver import Correspondences
@@ -29,14 +28,12 @@ from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.tracker import Tracking
 from kinebench_drake.grounding.tracking.view import (
     CLOSE_SIZE,
-    WRIST_CENTRE_H,
-    WRIST_RADIUS_M,
     Crop,
     DenseEstimator,
     GripperView,
 )
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.description import GripperKind, RobotPart
+from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.track import Domain
 
 # Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
@@ -44,8 +41,6 @@ _NEIGHBOUR_LEAD = 0.05
 """Least lead of a neighbour's agreement that makes its posture of the flange the better one."""
 _LOST_SHARE = 0.8
 """Share of the agreement of a frame below which the flange was not followed from it."""
-_MOUNT_LEAD = 10.0
-"""Log-likelihood by which the mount of a gripper leads clearly."""
 _ON_BASE_M = 0.06
 """Largest displacement of a flange by the base of its arm [m]."""
 _BASE_LOSS = 0.1
@@ -57,17 +52,6 @@ _QUANTILES = (5.0, 95.0)
 """Percentiles of the wrist's cells between which it extends."""
 _MARGIN = 0.8
 """Half the size of the wrist's crop over this extent."""
-_SHOWN = 12
-"""Frames that tell how a gripper is mounted."""
-_COARSE = 3
-"""Openings that are compared in these."""
-_MOUNT_GRID_RAD = np.deg2rad(np.arange(0.0, 360.0, 9.0))
-_MOUNT_STEPS = (0, 5, 10, 15)
-"""Turns of a gripper against panda_hand, in steps of that grid: eighths of a turn."""
-_MOUNT_OFFSETS_M = (0.0, 0.012)
-"""Distances of a gripper from panda_hand, without and with an adapter [m]."""
-_MOUNTS = 3
-"""Mounts that are fitted and compared, unless one leads clearly."""
 _TURN_SIGMA_RAD = np.deg2rad(6.0)
 """Standard deviation of the likeliest turns, before each frame is fitted once more [rad]."""
 
@@ -86,14 +70,13 @@ class _FlangeVideo:
 
 
 class FlangeTracker:
-    """`PoseTracker` by the last links, and a gripper of known shape; the pose of panda_hand follows from the flange."""
+    """`PoseTracker` by the last links; the pose of panda_hand follows from the flange."""
 
-    def __init__(self, estimator: DenseEstimator, gripper: GripperKind = GripperKind.NONE) -> None:
-        """Track with dense estimates of `estimator`; the contours of a gripper whose shape is known count, too."""
+    def __init__(self, estimator: DenseEstimator) -> None:
+        """Track with dense estimates of `estimator`."""
         self._estimator = estimator
         self._model = ArmModel()
-        self._links = links_shape()
-        self._gripper = gripper
+        self._edges = EdgeMatcher(unknown_gripper())
         self._chain = ChainFitter(self._model)
 
     def track(
@@ -110,17 +93,12 @@ class FlangeTracker:
             camera=camera,
             wide=wide,
             images=GradientImages(frames, camera),
-            arm=ArmFitter(camera, self._model, self._links.edges[0], places),
-            flange=FlangeFitter(self._chain, self._links),
+            arm=ArmFitter(camera, self._model, self._edges, places),
+            flange=FlangeFitter(self._chain, self._edges),
         )
         poses = self._detect(video)
         self._spread(poses, video)
         self._turn(poses, video)
-        if poses and self._gripper is GripperKind.ROBOTIQ_2F85:
-            video = replace(video, flange=self._mount(poses, video))
-            poses = self._fit_gripper(poses, video)
-            self._spread(poses, video)
-            self._turn(poses, video)
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(wide[i] for i in range(len(frames))),
@@ -139,7 +117,7 @@ class FlangeTracker:
         for i, shown in self._look(dict(crops), video):
             chain = self._chain.fit(shown.cells)
             if chain is not None:
-                crops[i] = _crop_at(chain.model.X_CH[0])
+                crops[i] = Crop.of_wrist(chain.model.X_CH[0], CLOSE_SIZE)
         detected = {i: video.flange.detect(shown) for i, shown in self._look(crops, video)}
         return {i: pose for i, pose in detected.items() if pose is not None}
 
@@ -152,52 +130,17 @@ class FlangeTracker:
             for k in {i - 1, i + 1} & waiting:
                 proposed = [poses.get(k), video.flange.follow(poses[i], video.images[i], video.images[k])]
                 if _agreement(proposed[1]) < _LOST_SHARE * _agreement(poses[i]):
-                    ((_, shown),) = self._look({k: _crop_at(poses[i].X_CH)}, video)
+                    ((_, shown),) = self._look({k: Crop.of_wrist(poses[i].X_CH, CLOSE_SIZE)}, video)
                     proposed.append(video.flange.detect(shown, poses[i]))
                 best = max(proposed, key=_agreement)
                 if best is not None and _agreement(best) > _agreement(proposed[0]) + _NEIGHBOUR_LEAD:
                     poses[k] = best
 
-    def _mount(self, poses: Mapping[int, FramePose], video: _FlangeVideo) -> FlangeFitter:
-        """Return a fitter with the gripper as it is likeliest mounted, by the frames whose contours lie best."""
-        offsets = [FlangeFitter(self._chain, robotiq_shape(0.0, offset_m, _COARSE)) for offset_m in _MOUNT_OFFSETS_M]
-        total = np.zeros((len(_MOUNT_STEPS), len(offsets)))
-        surest = sorted(poses, key=lambda k: -poses[k].overlap)[:_SHOWN]
-        for i in surest:
-            pose = poses[i]
-            chain = video.flange.chain_of(pose)
-            by_link = video.flange.log_likelihood(chain, _MOUNT_GRID_RAD, pose.view, video.images[i], pose.overlap)
-            for k, fitter in enumerate(offsets):
-                by_gripper = fitter.gripper_log_likelihood(chain, _MOUNT_GRID_RAD, video.images[i], pose.overlap)
-                total[:, k] += [logsumexp(by_link + np.roll(by_gripper, -step)) for step in _MOUNT_STEPS]
-        likeliest = np.argsort(-total, axis=None)[:_MOUNTS]
-        likeliest = likeliest[total.flat[likeliest] > total.max() - _MOUNT_LEAD]
-        turn, offset = np.unravel_index(likeliest, total.shape)
-        mounted = [
-            FlangeFitter(self._chain, robotiq_shape(_MOUNT_GRID_RAD[_MOUNT_STEPS[t]], _MOUNT_OFFSETS_M[o]))
-            for t, o in zip(turn, offset, strict=True)
-        ]
-        if len(mounted) == 1:
-            return mounted[0]
-        shown_poses = {i: poses[i] for i in surest}
-
-        def support(flange: FlangeFitter) -> float:
-            """Return the log-likelihood of a gripper by frames that are fitted with it."""
-            fitted = self._fit_gripper(shown_poses, replace(video, flange=flange))
-            return sum(flange.support(pose, video.images[i]) for i, pose in fitted.items())
-
-        return max(mounted, key=support)
-
-    def _fit_gripper(self, poses: Mapping[int, FramePose], video: _FlangeVideo) -> dict[int, FramePose]:
-        """Return the poses fitted anew with the contours of the gripper."""
-        crops = {i: _crop_at(pose.X_CH) for i, pose in poses.items()}
-        return {i: video.flange.fit_gripper(poses[i], shown) or poses[i] for i, shown in self._look(crops, video)}
-
     def _turn(self, poses: dict[int, FramePose], video: _FlangeVideo) -> None:
         """Turn the last joint as contours and cells of the last link are likeliest along the whole video."""
         flange = video.flange
         images = video.images
-        shown = dict(self._look({i: _crop_at(pose.X_CH) for i, pose in poses.items()}, video))
+        shown = dict(self._look({i: Crop.of_wrist(pose.X_CH, CLOSE_SIZE) for i, pose in poses.items()}, video))
         chains = {i: flange.chain_of(pose) for i, pose in poses.items()}
         turns = np.zeros(len(images))
         sigma = np.zeros(len(images))
@@ -205,16 +148,15 @@ class FlangeTracker:
             log_likelihood = np.zeros((len(turns), len(grid)))
             changes = np.full(len(turns) - 1, np.nan)
             for i, chain in chains.items():
-                likeliest = flange.at_likeliest(chain, images[i])
                 view = shown[i].view
-                log_likelihood[i] = likeliest.log_likelihood(chain, turns[i] + grid, view, images[i], poses[i].overlap)
+                log_likelihood[i] = flange.log_likelihood(chain, turns[i] + grid, view, images[i], poses[i].overlap)
                 if i + 1 in chains:
                     changes[i] = flange.turn_change(chain, chains[i + 1], images[i], images[i + 1])
             offsets, own_sigma = likeliest_turns(grid, log_likelihood, changes - np.diff(turns))
             turns = turns + offsets
             sigma = np.maximum(sigma, own_sigma)
             chains = {i: self._chain.turned(chain, turns[i : i + 1]) for i, chain in chains.items()}
-        reaches_px = REACHES_PX[0 if flange.shape.gripper else -2 :]
+        reaches_px = REACHES_PX[-2:]
         before = dict(poses)
         for i, chain in chains.items():
             flows = {k: flange.flow(chains[k], images[k], images[i]) for k in {i - 1, i + 1} & chains.keys()}
@@ -225,8 +167,7 @@ class FlangeTracker:
             ]
             pose = flange.fit_turned(chain, turns[i], _TURN_SIGMA_RAD, shown[i], reaches_px, points)
             if pose is not None:
-                based = None if flange.shape.gripper else self._on_base(pose, i, video)
-                poses[i] = _with_turn_sigma(based or pose, sigma[i])
+                poses[i] = _with_turn_sigma(self._on_base(pose, i, video) or pose, sigma[i])
 
     def _on_base(self, pose: FramePose, number: int, video: _FlangeVideo) -> FramePose | None:
         """Return a pose that the base of the camera confirms, with the arm on it; None if it does not."""
@@ -274,9 +215,3 @@ def _wrist_crop(view: GripperView) -> Crop | None:
     direction = view.crop.R_CV @ view.rays()[v, u]
     extent = float((high - low).max()) * view.stride / view.crop.focal
     return Crop.towards(direction, _MARGIN * max(extent, 4 * view.stride / view.crop.focal), CLOSE_SIZE)
-
-
-def _crop_at(X_CH: Array) -> Crop:
-    """Return the crop of the last links behind a hand at `X_CH` (4, 4)."""
-    centre = X_CH[:3, :3] @ WRIST_CENTRE_H + X_CH[:3, 3]
-    return Crop.towards(centre, WRIST_RADIUS_M / float(np.linalg.norm(centre)), CLOSE_SIZE)

@@ -19,11 +19,12 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import logsumexp, softmax
 
-from kinebench_drake.geometry import Array, invert, make_pose, rotation_angle, rotation_exp, transform_points
+from kinebench_drake.geometry import Array, invert, rotation_angle, transform_points
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.registration.arm_model import EVIDENCE_CAP
 from kinebench_drake.grounding.registration.hand_contour import GAP_STEP_M, GAPS_M
 from kinebench_drake.grounding.tracking.pose import FramePose
+from kinebench_drake.models.gripper import X_HALF_TURN
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 
 # Chosen by hand on own renders; checked by `python -m benchmarks evaluate` on these, by `footage` on others' videos.
@@ -33,8 +34,6 @@ _UNKNOWN_M = 0.015
 """Standard deviation of a width above which it is unknown after all [m].
 
 Large errors of widths correlate: fingers that hide each other are confused."""
-X_HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
-"""Pose (4, 4) of the flipped hand in the hand frame: 180 degrees about z."""
 _CAP_WITH_EDGES = 2.0
 """Greatest log-likelihood ratio by CAD coordinates, which are less sure where poses had to be fitted to edges."""
 _ROTATION_SIGMA_RAD = np.deg2rad(20.0)
@@ -92,8 +91,14 @@ def _likeliest_states(own: Sequence[Array] | Array, steps: Sequence[Array]) -> l
     return path[::-1]
 
 
-def flip_evidence(pose: FramePose) -> float:
-    """Return the log-likelihood ratio of the fitted pose against the flipped one, given the CAD coordinates."""
+def flip_evidence(pose: FramePose, *, is_symmetric: bool = False) -> float:
+    """Return the log-likelihood ratio of the fitted pose against the flipped one, given the CAD coordinates.
+
+    Those of a symmetric gripper tell nothing: the arm alone does.
+    """
+    of_arm = 0.0 if pose.arm is None else pose.arm.evidence
+    if is_symmetric:
+        return of_arm
     view = pose.view
     cells = view.gripper
     cloud_V = view.rays()[cells] * (view.depth_m[cells] * pose.hand.depth_factor)[:, None]
@@ -105,7 +110,7 @@ def flip_evidence(pose: FramePose) -> float:
     flipped = np.abs(p_H * [-1.0, -1.0, 1.0] - estimated_H).sum(axis=1) / scale
     of_hand = float((flipped - as_fitted).mean())
     cap = EVIDENCE_CAP if pose.arm is None or np.isnan(pose.arm.edge_agreement) else _CAP_WITH_EDGES
-    return float(np.clip(of_hand, -cap, cap)) + (0.0 if pose.arm is None else pose.arm.evidence)
+    return float(np.clip(of_hand, -cap, cap)) + of_arm
 
 
 def _rotation_cost(X_1: Array, X_2: Array) -> float:
@@ -113,13 +118,16 @@ def _rotation_cost(X_1: Array, X_2: Array) -> float:
     return float(min((angle / _ROTATION_SIGMA_RAD) ** 2, _ROTATION_CAP))
 
 
-def resolve_flips(poses: Sequence[FramePose | None]) -> list[FramePose | None]:
-    """Return the poses, each as fitted or flipped, that fit the whole video best."""
+def resolve_flips(poses: Sequence[FramePose | None], *, is_symmetric: bool = False) -> list[FramePose | None]:
+    """Return the poses, each as fitted or flipped, that fit the whole video best; of a symmetric gripper by its arm."""
     measured = [(i, pose) for i, pose in enumerate(poses) if pose is not None]
     resolved = list(poses)
     if not measured:
         return resolved
-    own = [np.array([0.0, -np.inf if pose.from_prior else -flip_evidence(pose)]) for _, pose in measured]
+    own = [
+        np.array([0.0, -np.inf if pose.from_prior else -flip_evidence(pose, is_symmetric=is_symmetric)])
+        for _, pose in measured
+    ]
     variants = [(pose.X_CH, pose.X_CH @ X_HALF_TURN) for _, pose in measured]
     steps = [
         -np.array([[_rotation_cost(before, after) for before in previous] for after in current])

@@ -1,7 +1,7 @@
 """Tracking of the gripper: detection in the whole image, pose estimation in a crop, refits along the video."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Protocol
 
@@ -27,7 +27,9 @@ from kinebench_drake.grounding.registration.icp import IcpRefiner
 from kinebench_drake.grounding.registration.image import GradientImage
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import BATCH, Correspondences
+from kinebench_drake.grounding.tracking.flange_fit import ChainFitter
 from kinebench_drake.grounding.tracking.localization import find_region, likeliest_gripper
+from kinebench_drake.grounding.tracking.mount import find_mount
 from kinebench_drake.grounding.tracking.pose import Confidence, FramePose, frame_confidence, load_confidence
 from kinebench_drake.grounding.tracking.refinement import EdgeRefinement
 from kinebench_drake.grounding.tracking.view import (
@@ -40,7 +42,8 @@ from kinebench_drake.grounding.tracking.view import (
     OverrideEstimator,
 )
 from kinebench_drake.io.frames import Frames
-from kinebench_drake.models.panda.cad import GripperCad, open_fingers
+from kinebench_drake.models.gripper import X_HALF_TURN, GripperModel
+from kinebench_drake.models.panda.cad import GripperCad, franka_hand
 from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.track import Domain
 
@@ -66,6 +69,8 @@ class Tracking:
     robot: NDArray[np.bool_]
     """(H, W) pixels of the first frame that show the robot."""
     domain: Domain = Domain.FAMILIAR
+    gripper: GripperModel = field(default_factory=franka_hand)
+    """Gripper as it is mounted; poses are those of its frame."""
 
     @property
     def agreeing(self) -> int:
@@ -100,17 +105,22 @@ class CadTracker:
     def __init__(
         self,
         estimator: DenseEstimator,
-        cad: GripperCad | None = None,
+        gripper: GripperModel | None = None,
         confidence: Mapping[Domain, Confidence] | None = None,
     ) -> None:
-        """Track with dense estimates of `estimator`; `confidence` (default: the shipped one) decides on the domain."""
+        """Track a gripper, by default the Franka hand, with dense estimates of `estimator`.
+
+        The `confidence` (default: the shipped one) decides on the domain.
+        """
         self._estimator = estimator
         self._confidence = confidence or load_confidence()
-        self._cad = cad or GripperCad()
-        self._icp = IcpRefiner(self._cad)
-        self._silhouette = SilhouetteMatcher(self._cad)
-        self._arm = ArmModel()
-        self._edges = EdgeMatcher()
+        self._gripper = gripper or franka_hand()
+        cad = GripperCad(self._gripper)
+        self._icp = IcpRefiner(cad)
+        self._silhouette = SilhouetteMatcher(cad)
+        self._arm = ArmModel(self._gripper)
+        self._chain = ChainFitter(ArmModel()) if self._gripper.mounts_vary else None
+        self._edges = EdgeMatcher(self._gripper)
 
     def track(
         self, frames: Frames, camera: Camera, priors: Priors = NO_PRIORS, places: Array | None = None
@@ -134,7 +144,10 @@ class CadTracker:
         region = find_region(estimator, frames, camera, wide)
         if region is not None:
             wide, crops = detect(region)
-        arm = ArmFitter(camera, self._arm, self._edges, places)
+        model = self._arm
+        if self._chain is not None and crops:
+            model = ArmModel(find_mount(estimator, frames, camera, crops, wide, self._gripper, self._chain))
+        arm = ArmFitter(camera, model, self._edges, places)
 
         def measure(crops: dict[int, Crop]) -> dict[int, FramePose]:
             """Return the poses of the frames of `crops` that show a gripper."""
@@ -177,6 +190,7 @@ class CadTracker:
             wide=tuple(wide[i] for i in range(len(frames))),
             robot=wide[0].to_frame(wide[0].part > 0, camera),
             domain=domain,
+            gripper=model.gripper,
         )
 
     def _with_contours(
@@ -189,16 +203,16 @@ class CadTracker:
             if pose.arm is not None and pose.arm.agrees
         }
         gaps = gap_log_likelihoods(self._edges, hands)
-        fits = fit_all([poses[i].view for i in hands], [poses[i].X_CH for i in hands], [None] * len(hands))
+        fits = self._fit_all([poses[i].view for i in hands], [poses[i].X_CH for i in hands], [None] * len(hands))
         refined = {}
         for (i, hand), fit in zip(hands.items(), fits, strict=True):
-            X_CP = open_fingers(hand.X_CP, finger_or_default(poses[i].finger_m))
+            X_CP = self._gripper.open(hand.X_CP, finger_or_default(poses[i].finger_m))
             refined[i] = replace(
                 poses[i],
                 finger_m=float("nan") if fit is None else fit.finger_m,
                 finger_sigma_m=float("nan") if fit is None else fit.finger_sigma_m,
                 shape=fit_shape(self._edges, hand.image, X_CP),
-                gap_log_likelihood=gaps[i],
+                gap_log_likelihood=gaps.get(i),
             )
         return refined
 
@@ -224,13 +238,17 @@ class CadTracker:
         finger_m = UNSEEN_FINGER_M if finger_m is None else finger_m
         return replace(priors, depth=calibrate_depth(depth, view, X_CH, finger_m))
 
-    @staticmethod
-    def _detected_crops(views: Mapping[int, GripperView], priors: Priors) -> dict[int, Crop]:
+    def _fit_all(
+        self, views: Sequence[GripperView], X_CH: Sequence[Array | None], finger_m: Sequence[float | None]
+    ) -> list[HandFit | None]:
+        return fit_all(views, X_CH, finger_m, self._gripper.max_finger_m)
+
+    def _detected_crops(self, views: Mapping[int, GripperView], priors: Priors) -> dict[int, Crop]:
         """Return crops around the gripper where it is detected in views of whole images, or known from priors."""
         poses = {i: X_CH for i in views if (X_CH := priors.pose(i)) is not None}
         rest = [i for i in views if i not in poses]
         none = [None] * len(rest)
-        hands = fit_all([likeliest_gripper(views[i]) for i in rest], none, none)
+        hands = self._fit_all([likeliest_gripper(views[i]) for i in rest], none, none)
         poses |= {i: hand.X_CH for i, hand in zip(rest, hands, strict=True) if hand is not None}
         return {i: Crop.of_gripper(poses[i], CLOSE_MARGIN, CLOSE_SIZE) for i in views if i in poses}
 
@@ -239,11 +257,24 @@ class CadTracker:
     ) -> dict[int, FramePose]:
         """Return the poses in frames whose crops show the gripper, by frame number."""
         numbers = list(views)
-        fits = fit_all(list(views.values()), [priors.pose(i) for i in numbers], [priors.finger_m(i) for i in numbers])
+        fits = self._fit_all(
+            list(views.values()), [priors.pose(i) for i in numbers], [priors.finger_m(i) for i in numbers]
+        )
         cells_only = {i: hand for i, hand in zip(numbers, fits, strict=True) if hand is not None}
+        if self._gripper.is_symmetric:
+            turned = [
+                i for i, hand in cells_only.items() if arm_fitter.at([i]).is_turned(ArmView.of(hand, views[i], wide[i]))
+            ]
+            views = {**views, **{i: views[i].half_turned() for i in turned}}
+            cells_only |= {i: replace(cells_only[i], X_CH=cells_only[i].X_CH @ X_HALF_TURN) for i in turned}
         rims = {i: self._rim(views[i], hand, priors, i) for i, hand in cells_only.items()}
         with_rim = {i: rim for i, rim in rims.items() if rim is not None}
-        refitted = refit_all([cells_only[i] for i in with_rim], [views[i] for i in with_rim], list(with_rim.values()))
+        refitted = refit_all(
+            [cells_only[i] for i in with_rim],
+            [views[i] for i in with_rim],
+            list(with_rim.values()),
+            self._gripper.max_finger_m,
+        )
         hands = cells_only | dict(zip(with_rim, refitted, strict=True))
         shown = [ArmView.of(hand, views[i], wide[i]) for i, hand in hands.items()]
         arms = arm_fitter.at(list(hands)).fit_all(shown, [rims[i] for i in hands])

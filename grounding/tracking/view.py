@@ -45,6 +45,10 @@ _CALIBRATED_FACTOR_SIGMA = 0.03
 OPENING_SIGNS = np.array([OPENING_SIGN.get(part, 0.0) for part in RobotPart])
 """(PARTS,) `OPENING_SIGN` by value of `RobotPart`; 0 where a part does not move along the hand."""
 
+_HALF_TURN = np.array([-1.0, -1.0, 1.0])
+_SWAPPED = np.array(list(RobotPart), np.uint8)
+_SWAPPED[[RobotPart.LEFT_FINGER, RobotPart.RIGHT_FINGER]] = [RobotPart.RIGHT_FINGER, RobotPart.LEFT_FINGER]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Crop:
@@ -81,6 +85,12 @@ class Crop:
         """Return the crop filled by the bounding sphere, times `margin`, of a gripper at `X_CH` (4, 4)."""
         centre = transform_points(X_CH, GRIPPER_CENTRE_H[None])[0]
         return cls.towards(centre, margin * GRIPPER_RADIUS_M / float(np.linalg.norm(centre)), size)
+
+    @classmethod
+    def of_wrist(cls, X_CH: ArrayLike, size: int) -> "Crop":
+        """Return the crop of the last links behind a gripper at `X_CH` (4, 4)."""
+        centre = transform_points(X_CH, WRIST_CENTRE_H[None])[0]
+        return cls.towards(centre, WRIST_RADIUS_M / float(np.linalg.norm(centre)), size)
 
     @classmethod
     def of_frame(cls, camera: Camera) -> "Crop":
@@ -165,6 +175,12 @@ class GripperView:
     def opening_sign(self) -> Array:
         """(h, w) direction along the hand's y axis as the fingers open: 1 (left finger), -1 (right finger) or 0."""
         return OPENING_SIGNS[self.part]
+
+    def half_turned(self) -> "GripperView":
+        """Return the view with the gripper taken for one after half a turn about its z axis."""
+        gripper = self.gripper
+        turned = self.coordinates_P * np.where(gripper[..., None], _HALF_TURN, 1.0)
+        return replace(self, part=_SWAPPED[self.part], coordinates_P=turned)
 
     def rays(self) -> Array:
         """Return the viewing directions (h, w, 3) of the cells in the crop's frame, scaled to z = 1."""

@@ -284,8 +284,8 @@ class ScoreConfig(SourceConfig):
     gripper: Annotated[
         GripperKind,
         Option(
-            "Gripper on the arm. With another one than Franka's the links give the flange, with robotiq-2f85 also its "
-            "contours; the opening is unknown. auto does so where the arm is seen without a Franka hand, links first."
+            "Gripper on the arm. auto looks for the Franka hand; where it is not seen, for the Robotiq 2F-85; without "
+            "either, or with none, the links alone give the flange."
         ),
     ] = GripperKind.AUTO
     overlay: Annotated[bool, Option("Write videos with the tracked gripper drawn in.", also="--no-overlay")] = False

@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
     from kinebench_drake.grounding.video import Grounder
     from kinebench_drake.metrics.judge import TrackJudge
     from kinebench_drake.metrics.kinematic_result import KinematicResult
+    from kinebench_drake.models.gripper import GripperModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,15 +189,15 @@ class Resources:
         track: GripperTrack,
         zoom: Array | None = None,
         *,
-        hand: bool = True,
+        gripper: "GripperModel | None",
     ) -> Iterator[NDArray[np.uint8]]:
-        """Draw the posed gripper on the frames, or without `hand` its axes alone.
+        """Draw the posed gripper on the frames, or without one its axes alone.
 
         `zoom` (T,) is the focal length of the frames over that of the camera.
         """
         from kinebench_drake.grounding.overlay import draw_overlay
 
-        return draw_overlay(frames, camera, track, zoom, hand=hand)
+        return draw_overlay(frames, camera, track, zoom, gripper=gripper)
 
 
 ResourcesFactory = Callable[[RobotOptions], Resources]

@@ -44,7 +44,7 @@ from kinebench_drake.runs.preparation import (
 from kinebench_drake.runs.resources import Resources, load_resources
 from kinebench_drake.runs.resume import hash_sample
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
-from kinebench_drake.track import Domain, GripperTrack
+from kinebench_drake.track import GripperTrack
 
 if TYPE_CHECKING:  # loads torch and Open3D
     from kinebench_drake.grounding.video_result import GroundingResult
@@ -162,7 +162,7 @@ def _measured_row(
         **({} if measured.hand_size is None else measured.hand_size.to_json()),
         anomalies_open=[kind.value for kind in measured.anomalies_open],
         anomaly_scores={kind.value: round(score, 4) for kind, score in measured.detections.scores.items()},
-        **({"gripper": measured.gripper.value} if measured.domain is Domain.ARM else {}),
+        **({"gripper": measured.gripper.value} if measured.gripper is not GripperKind.FRANKA else {}),
         **({"lost_frames": measured.lost_frames} if measured.lost_frames else {}),
         frames=len(track.t_s),
         idle_ends=idle_ends(track),
@@ -246,17 +246,16 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         track = grounding.visible_track
         kinematics = measurement.kinematics
         measured = grounding.measured
-        draws_hand = measured.domain is not Domain.ARM
         path = measured.camera_path
         zoom = np.ones(len(track.t_s)) if path is None else path.zoom
         if self.config.overlay:
             native = len(grounding.frames) == len(video.frames)
             rate = float(np.clip((native and video.fps) or 1.0 / np.median(np.diff(track.t_s)), 1.0, 60.0))
-            images = tools.overlay(grounding.frames, grounding.camera, track, zoom, hand=draws_hand)
+            images = tools.overlay(grounding.frames, grounding.camera, track, zoom, gripper=measured.gripper_model)
             write_video(artifact_path(out, "overlays", sample.id), images, rate)
         shown = np.unique([0, worst_frame(track, kinematics)])
         chosen = grounding.frames[shown], grounding.camera, track.at(shown), zoom[shown]
-        strip = encode_strip(list(tools.overlay(*chosen, hand=draws_hand)))
+        strip = encode_strip(list(tools.overlay(*chosen, gripper=measured.gripper_model)))
         write_atomically(artifact_path(out, "thumbnails", sample.id), strip)
         joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
         if self.config.format is not None and grounding.unmeasurable is None and grounding.choice.reason is None:

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.environment import native
 from kinebench_drake.geometry import Array, invert
-from kinebench_drake.models.panda.description import ARM, GRIPPER, LINK_OF, OPENING_SIGN, RobotPart, source_urdf
+from kinebench_drake.models.gripper import PARTS, GripperModel
+from kinebench_drake.models.panda.description import ARM, GRIPPER, LINK_OF, RobotPart, source_urdf
 
 FINGER_ORIGIN_H = np.array([0.0, 0.0, 0.0584])
 """(3,) origin of the finger frames when closed (panda_finger_joint1/2) [m]."""
@@ -42,8 +43,8 @@ def link_meshes() -> dict[RobotPart, trimesh.Trimesh]:
 
 
 @cache
-def part_meshes() -> dict[RobotPart, trimesh.Trimesh]:
-    """Load the meshes of hand, left and right finger (closed), in the frame of the hand."""
+def franka_hand() -> GripperModel:
+    """Load the Franka hand."""
     hand = _visual(RobotPart.HAND)
     finger = _visual(RobotPart.LEFT_FINGER)
     left = finger.copy()
@@ -51,7 +52,7 @@ def part_meshes() -> dict[RobotPart, trimesh.Trimesh]:
     right.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [0, 0, 1]))
     for mesh in (left, right):
         mesh.apply_translation(FINGER_ORIGIN_H)
-    return dict(zip(GRIPPER, (hand, left, right), strict=True))
+    return GripperModel(parts=dict(zip(GRIPPER, (hand, left, right), strict=True)), max_finger_m=MAX_FINGER_M)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,17 +68,20 @@ class CadSurface:
 
 
 class PartCaster:
-    """Ray casting against parts at any poses (one RaycastingScene of Open3D per part)."""
+    """Ray casting against bodies at any poses (one RaycastingScene of Open3D per body)."""
 
-    def __init__(self, meshes: Mapping[RobotPart, trimesh.Trimesh]) -> None:
-        """Build the scenes.
+    def __init__(self, gripper: GripperModel, links: Mapping[RobotPart, trimesh.Trimesh]) -> None:
+        """Build the scenes of a gripper and of links of the arm.
 
         Raises:
             SetupError: Open3D's native libraries are missing.
         """
         open3d = native.load_open3d()
         core: Any = open3d.core
-        self._scenes: dict[RobotPart, Any] = {}
+        meshes = gripper.meshes | {int(part): mesh for part, mesh in links.items()}
+        self._gripper = gripper
+        self._part_of = gripper.part_of
+        self._scenes: dict[int, Any] = {}
         self._tensor = core.Tensor
         for part, mesh in meshes.items():
             scene = open3d.t.geometry.RaycastingScene(nthreads=1)
@@ -89,7 +93,7 @@ class PartCaster:
         self._radius = np.array([np.linalg.norm(offset, axis=1).max() for offset in reach])
 
     def cast(self, X_VP: Array, rays_V: ArrayLike) -> CadSurface:
-        """Cast rays `rays_V` (N, 3) from the origin of V against the parts at poses `X_VP` (PARTS, 4, 4).
+        """Cast rays `rays_V` (N, 3) from the origin of V against the bodies at poses `X_VP` (BODIES, 4, 4).
 
         `distance` is in units of the ray length: for rays with z = 1 it is the depth along the z axis of V [m].
         """
@@ -107,6 +111,7 @@ class PartCaster:
 
     def _trace(self, X_VP: Array, rays_V: Array, normal: Array | None) -> tuple[Array, NDArray[np.uint8]]:
         """Return distances (N,) and parts (N,) of first hits; fill `normal` (N, 3), not normalized, if there is one."""
+        X_VP = self._gripper.complete(X_VP)
         distance = np.full(len(rays_V), np.inf, np.float32)
         parts = np.zeros(len(rays_V), np.uint8)
         X_PV = invert(X_VP)
@@ -121,7 +126,7 @@ class PartCaster:
             nearer = t < distance[index]
             index = index[nearer]
             distance[index] = t[nearer]
-            parts[index] = part
+            parts[index] = self._part_of[part]
             if normal is not None:
                 normal[index] = hits["primitive_normals"].numpy()[nearer] @ X_PV[part, :3, :3]
         return distance.astype(np.float64), parts
@@ -138,13 +143,14 @@ class PartCaster:
 class GripperCad:
     """Ray casting against the gripper at any opening."""
 
-    def __init__(self) -> None:
-        """Build the scenes.
+    def __init__(self, gripper: GripperModel | None = None) -> None:
+        """Build the scenes of a gripper, by default of the Franka hand.
 
         Raises:
             SetupError: Open3D's native libraries or mani_skill's meshes are missing.
         """
-        self._caster = PartCaster(part_meshes())
+        self.gripper = gripper or franka_hand()
+        self._caster = PartCaster(self.gripper, {})
 
     def cast(self, X_VH: ArrayLike, rays_V: ArrayLike, finger_m: float) -> CadSurface:
         """Cast rays `rays_V` (N, 3) from the origin of V against the gripper at pose `X_VH` (4, 4)."""
@@ -154,18 +160,8 @@ class GripperCad:
         """Return `distance` and `part` of `cast`, without the normals."""
         return self._caster.first_hits(self._parts(X_VH, finger_m), rays_V)
 
-    @staticmethod
-    def _parts(X_VH: ArrayLike, finger_m: float) -> Array:
-        return open_fingers(np.tile(np.asarray(X_VH, dtype=np.float64), (len(RobotPart), 1, 1)), finger_m)
-
-
-def open_fingers(X_VP: Array, finger_m: ArrayLike) -> Array:
-    """Return the poses (..., PARTS, 4, 4) of parts with the fingers moved apart by `finger_m` (...) each [m]."""
-    opened = X_VP.copy()
-    travel = np.asarray(finger_m, dtype=np.float64)[..., None]
-    for part in GRIPPER:
-        opened[..., part, :3, 3] += OPENING_SIGN[part] * travel * X_VP[..., part, :3, 1]
-    return opened
+    def _parts(self, X_VH: ArrayLike, finger_m: float) -> Array:
+        return self.gripper.open(np.tile(np.asarray(X_VH, dtype=np.float64), (PARTS, 1, 1)), finger_m)
 
 
 def simplify(

@@ -76,11 +76,11 @@ class GripperKind(Enum):
     FRANKA = "franka"
     """The Franka hand."""
     ROBOTIQ_2F85 = "robotiq-2f85"
-    """The Robotiq 2F-85: links and contours of the gripper give the flange, the opening is unknown."""
+    """The Robotiq 2F-85, turned by eighths of a turn on any adapter."""
     NONE = "none"
     """None, or an unknown one."""
     AUTO = "auto"
-    """The Franka hand; where the arm is seen without it, none, else the Robotiq 2F-85."""
+    """The Franka hand; where it is not seen, the Robotiq 2F-85; without either, none."""
 
 
 class RobotPart(IntEnum):

@@ -17,12 +17,20 @@ from torch.nn import functional
 from torch.nn.utils import fuse_conv_bn_eval
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.models.panda.description import RobotPart
+from kinebench_drake.models.panda.description import GripperKind, RobotPart
 
 WEIGHTS = Path(__file__).with_name("gripper.safetensors")
 """Shipped weights, in half precision."""
+ROBOTIQ_WEIGHTS = Path(__file__).with_name("robotiq.safetensors")
+"""Those for the Robotiq 2F-85."""
 ARM_WEIGHTS = Path(__file__).with_name("arm.safetensors")
 """Those for the arm alone, whatever gripper it carries."""
+WEIGHTS_OF = {
+    GripperKind.FRANKA: WEIGHTS,
+    GripperKind.ROBOTIQ_2F85: ROBOTIQ_WEIGHTS,
+    GripperKind.NONE: ARM_WEIGHTS,
+}
+"""Weights by the gripper of the robot."""
 PARTS = len(RobotPart)
 STRIDE = 2
 """Input pixels per output pixel."""

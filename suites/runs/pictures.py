@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import BENCHMARK_PX
 from kinebench_drake.grounding.overlay import draw_caption
+from kinebench_drake.models.panda.cad import franka_hand
 from kinebench_drake.runs.pictures import encode_strip
 from kinebench_drake.runs.resources import Resources
 from kinebench_drake.suites.closed_loop.loop import EpisodeRun
@@ -26,7 +27,7 @@ def rollout_frames(
                 yield np.concatenate([_captioned(frame, text), blank, blank], axis=1)
             continue
         track = done.grounding.track.at(np.arange(len(execution.rgb)))
-        overlays = tools.overlay(execution.rgb, execution.camera, track)
+        overlays = tools.overlay(execution.rgb, execution.camera, track, gripper=franka_hand())
         for frame, image, overlay in zip(done.frames, execution.rgb, overlays, strict=False):
             yield np.concatenate([_captioned(frame, text), _captioned(image, "executed"), overlay], axis=1)
 

@@ -28,8 +28,8 @@ from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import make_pose, rotation_exp
-from kinebench_drake.grounding.tracking.markov import X_HALF_TURN
-from kinebench_drake.models.panda.cad import FINGER_ORIGIN_H, part_meshes
+from kinebench_drake.models.gripper import X_HALF_TURN
+from kinebench_drake.models.panda.cad import FINGER_ORIGIN_H, franka_hand
 from kinebench_drake.models.panda.description import GripperKind, RobotPart
 
 T = 4
@@ -210,7 +210,7 @@ def test_an_error_above_a_fifth_of_the_hand_length_is_silent(folder):
 
 def test_labelled_points_lie_on_the_cad_meshes():
     """Within 4 mm of a vertex of the mesh."""
-    meshes = part_meshes()
+    meshes = franka_hand().parts
     points = pair_points(np.eye(4), 0.0)
     for pair, part in (("corner", RobotPart.HAND), ("end", RobotPart.HAND), ("tip", RobotPart.LEFT_FINGER)):
         distance = np.linalg.norm(np.asarray(meshes[part].vertices) - points[pair][0], axis=1).min()

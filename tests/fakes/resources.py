@@ -62,6 +62,7 @@ class FakeResult:
     anomalies_open: tuple[AnomalyKind, ...] = ()
     detections: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(scores={}))
     hand_size: None = None
+    gripper_model: None = None
     lost_frames: tuple[object, ...] = ()
     possible: tuple[GripperTrack, ...] = ()
 
@@ -235,7 +236,7 @@ class FakeResources:
         """Return a cost: poses and small angles fit, others do not."""
         return 0.0 if trajectory.q is None else float(np.nanmax(np.abs(trajectory.q)) > 1.6)
 
-    def overlay(self, frames, camera, track, zoom=None, *, hand=True):
+    def overlay(self, frames, camera, track, zoom=None, *, gripper=None):
         gate = Fakes.of_environment().behavior(frames).waits_in_overlay
         for number, (frame, X) in enumerate(zip(frames, track.X_BG, strict=True)):
             if number and gate is not None:

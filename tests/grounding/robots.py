@@ -8,8 +8,9 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.tracking.view import CLOSE_SIZE, Crop, GripperView
-from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
-from kinebench_drake.models.panda.description import OPENING_SIGN, RobotPart
+from kinebench_drake.models.gripper import GripperModel
+from kinebench_drake.models.panda.cad import PartCaster, franka_hand, link_meshes
+from kinebench_drake.models.panda.description import RobotPart
 
 CAMERA = benchmark_camera()
 FINGER_M = 0.025
@@ -24,21 +25,22 @@ def posture(seed: int) -> Array:
 def view(model: ArmModel, q: Array, crop: Crop, *, noise_m: float, depth_factor: float, seed: int) -> GripperView:
     """Dense estimates with coordinate noise `noise_m` and depth off by a common factor."""
     rng = np.random.default_rng(seed)
-    X_VP = invert(crop.X_CV) @ invert(CAMERA.X_BC) @ model.poses(q[None])[0]
+    gripper = model.gripper
+    X_VB = gripper.open(invert(crop.X_CV) @ invert(CAMERA.X_BC) @ model.poses(q[None])[0], FINGER_M)
     n = crop.size // 2
     part = np.zeros((n, n), np.uint8)
     depth = np.full((n, n), np.inf)
     coordinates = np.zeros((n, n, 3))
-    for value, mesh in {**part_meshes(), **link_meshes()}.items():
-        points = trimesh.sample.sample_surface(mesh, 6000, seed=seed)[0]
-        opened = points + np.array([0.0, OPENING_SIGN.get(value, 0.0) * FINGER_M, 0.0])
-        p_V = transform_points(X_VP[value], opened)
+    for body, mesh in {**gripper.meshes, **link_meshes()}.items():
+        points = np.asarray(trimesh.sample.sample_surface(mesh, 6000, seed=seed)[0])
+        p_V = transform_points(X_VB[body], points)
+        p_P = gripper.in_parts(np.full(len(points), body), points, p_V, X_VB)
         u, v = np.floor(p_V[:, :2] / p_V[:, 2:] * crop.focal / 2 + n / 2).astype(int).T
         for i in np.flatnonzero((p_V[:, 2] > 0.1) & (u >= 0) & (u < n) & (v >= 0) & (v < n)):
             if p_V[i, 2] < depth[v[i], u[i]]:
                 depth[v[i], u[i]] = p_V[i, 2]
-                part[v[i], u[i]] = value
-                coordinates[v[i], u[i]] = points[i]
+                part[v[i], u[i]] = gripper.part_of[body]
+                coordinates[v[i], u[i]] = p_P[i]
     return GripperView(
         crop=crop,
         stride=2,
@@ -60,11 +62,11 @@ def views(model: ArmModel, q: Array, seed: int) -> tuple[Array, GripperView, Gri
     return X_CH, close, wide
 
 
-def drawn(model: ArmModel, q: Array, gripper: trimesh.Trimesh | None = None, stains: float = 0.0) -> NDArray[np.uint8]:
+def drawn(model: ArmModel, q: Array, gripper: GripperModel | None = None, stains: float = 0.0) -> NDArray[np.uint8]:
     """An image of the robot in one grey, before a darker one; with another gripper, or stains of that contrast."""
-    X_CP = open_fingers(invert(CAMERA.X_BC) @ model.poses(q[None])[0], FINGER_M)
-    meshes = part_meshes() if gripper is None else {RobotPart.HAND: gripper}
-    hit = PartCaster({**meshes, **link_meshes()}).cast(X_CP, CAMERA.rays().reshape(-1, 3))
+    gripper = gripper or franka_hand()
+    X_CP = gripper.open(invert(CAMERA.X_BC) @ model.poses(q[None])[0], FINGER_M)
+    hit = PartCaster(gripper, link_meshes()).cast(X_CP, CAMERA.rays().reshape(-1, 3))
     # A grey of its own for each part: contours between parts count as well.
     grey = np.where(hit.part > 0, 120.0 + 12.0 * hit.part, 50.0)
     shown = hit.part > 0

@@ -1,11 +1,9 @@
 """Contours of the robot matched to images, on images drawn by ray casting."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera, benchmark_camera
@@ -22,7 +20,8 @@ from kinebench_drake.grounding.registration.hand_contour import (
 )
 from kinebench_drake.grounding.registration.image import EdgePoints, GradientImage
 from kinebench_drake.grounding.registration.solver import Correspondences, solve
-from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
+from kinebench_drake.models.gripper import GripperModel
+from kinebench_drake.models.panda.cad import PartCaster, franka_hand, link_meshes
 from kinebench_drake.models.panda.description import RobotPart
 
 CAMERA = benchmark_camera().resized(320, 320)
@@ -41,14 +40,14 @@ def model() -> ArmModel:
 
 
 def part_poses(model: ArmModel, q: Array, camera: Camera = CAMERA) -> Array:
-    return open_fingers(invert(camera.X_BC) @ model.poses(np.asarray(q)[None])[0], FINGER_M)
+    return franka_hand().open(invert(camera.X_BC) @ model.poses(np.asarray(q)[None])[0], FINGER_M)
 
 
-def draw(X_CP: Array, seed: int, gripper: Mapping[RobotPart, trimesh.Trimesh] | None = None) -> NDArray[np.uint8]:
+def draw(X_CP: Array, seed: int, gripper: GripperModel | None = None) -> NDArray[np.uint8]:
     """A shaded robot before a plain background, with noise; with `gripper` in place of its hand and fingers."""
     rng = np.random.default_rng(seed)
     rays = CAMERA.rays().reshape(-1, 3)
-    hit = PartCaster({**(gripper or part_meshes()), **link_meshes()}).cast(X_CP, rays)
+    hit = PartCaster(gripper or franka_hand(), link_meshes()).cast(X_CP, rays)
     shade = 120.0 + 120.0 * np.abs(hit.normal @ [0.3, -0.8, -0.5])
     grey = np.where(hit.part > 0, shade, 50.0) + rng.normal(0, 4.0, len(rays))
     return np.repeat(np.clip(grey, 0, 255).astype(np.uint8).reshape(CAMERA.height, CAMERA.width, 1), 3, axis=2)
@@ -104,7 +103,7 @@ def test_contour_points_lie_on_the_border_of_the_drawn_robot(matcher: EdgeMatche
     assert points is not None
     assert len(points.part) > 100
     np.testing.assert_allclose(CAMERA.project(points.p_C), points.pixel, atol=1e-6)
-    caster = PartCaster({**part_meshes(), **link_meshes()})
+    caster = PartCaster(franka_hand(), link_meshes())
     depths = []
     for sign in (-2.0, 2.0):
         pixel = points.pixel + sign * points.normal
@@ -162,8 +161,8 @@ def test_an_image_without_edges_gives_no_correspondences(matcher: EdgeMatcher, m
 def draw_hand_of_size(model: ArmModel, posture: list[float], size: float) -> tuple[GradientImage, Array]:
     """A drawn robot whose hand and fingers are `size` times as large, about the flange; and the poses of its parts."""
     X_CP = part_poses(model, np.array(posture))
-    meshes = part_meshes()
-    scaled = {part: mesh.copy().apply_scale(size) for part, mesh in meshes.items()}
+    meshes = franka_hand().parts
+    scaled = replace(franka_hand(), parts={part: mesh.copy().apply_scale(size) for part, mesh in meshes.items()})
     hand = X_CP[RobotPart.HAND, :3, 3]
     moved = X_CP.copy()
     for part in meshes:
@@ -197,7 +196,7 @@ def test_the_likeliest_gap_is_that_of_the_image_for_either_mount_of_the_fingers(
     hands = {}
     gaps = (0.008, 0.04, 0.07)
     for number, gap in enumerate(gaps):
-        shown = open_fingers(closed, gap / 2)
+        shown = franka_hand().open(closed, gap / 2)
         fingers = [RobotPart.LEFT_FINGER, RobotPart.RIGHT_FINGER]
         shown[fingers, :3, 3] += mount_m * shown[fingers, :3, 2]
         hands[number] = HandImage(image=GradientImage(draw(shown, number), CAMERA), X_CP=closed)

@@ -10,7 +10,7 @@ from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.image import GradientImage, follow_surface
-from kinebench_drake.models.panda.cad import open_fingers
+from kinebench_drake.models.panda.cad import franka_hand
 from kinebench_drake.models.panda.description import RobotPart
 
 CAMERA = benchmark_camera().resized(320, 320)
@@ -30,7 +30,7 @@ def model() -> ArmModel:
 
 
 def part_poses(model: ArmModel, q: Array) -> Array:
-    return open_fingers(invert(CAMERA.X_BC) @ model.poses(q[None])[0], 0.02)
+    return franka_hand().open(invert(CAMERA.X_BC) @ model.poses(q[None])[0], 0.02)
 
 
 def draw(matcher: EdgeMatcher, X_CP: Array) -> NDArray[np.uint8]:

@@ -29,7 +29,7 @@ from kinebench_drake.grounding.tracking.pose import (
 from kinebench_drake.grounding.tracking.tracker import CadTracker, Tracking
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.cad import GripperCad, franka_hand
 from kinebench_drake.models.panda.description import hand_from_tcp
 from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.track import Domain
@@ -192,7 +192,7 @@ def test_the_track_is_the_tcp_in_the_base_frame(pipeline: GroundingPipeline, cli
 def test_the_overlay_lies_on_the_gripper(pipeline: GroundingPipeline, clip: TruthClip) -> None:
     frames = read_video(clip.path).frames[:2]
     track = pipeline.ground(frames, clip.camera, clip.t_s[:2]).track
-    drawn = next(iter(draw_overlay(frames, clip.camera, track)))
+    drawn = next(iter(draw_overlay(frames, clip.camera, track, gripper=franka_hand())))
     changed = np.abs(drawn[30:].astype(int) - frames[0][30:]).sum(axis=2) > 20
     v, u = np.nonzero(changed)
     centre = clip.camera.project(clip.X_CH[0, :3, 3] + 0.05 * clip.X_CH[0, :3, 2])

@@ -11,7 +11,7 @@ from kinebench_drake.grounding.registration.arm_model import ArmHandModel, ArmMo
 from kinebench_drake.grounding.registration.fit import HandModel, fit, fit_all, gripper_cells
 from kinebench_drake.grounding.registration.solver import CellRows, Correspondences, FitModel, residuals, solve
 from kinebench_drake.grounding.tracking.flange_fit import ChainModel
-from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.cad import MAX_FINGER_M, GripperCad
 from kinebench_drake.models.panda.description import ARM, RobotPart
 from tests.grounding.conftest import hand_pose, perfect_view
 
@@ -44,6 +44,7 @@ def hands(rng: np.random.Generator) -> tuple[FitModel, Correspondences]:
         finger_m=rng.uniform(0.01, 0.03, FRAMES),
         finger_free=np.ones(FRAMES, dtype=bool),
         pose_free=np.ones(FRAMES, dtype=bool),
+        max_finger_m=np.full(FRAMES, MAX_FINGER_M),
     )
     parts = [RobotPart.HAND, RobotPart.LEFT_FINGER, RobotPart.RIGHT_FINGER]
     return model, Correspondences.stack([random_cells(rng, parts, X[:3, 3]) for X in model.X_CH])
@@ -119,7 +120,13 @@ def test_padding_a_frame_to_the_batch_size_changes_no_solution(cad: GripperCad) 
     fewer = cells.take(np.arange(0, len(cells), 3))
     filled = Correspondences.stack([fewer, cells]).take(np.array([0]))
     one = np.ones(1, dtype=bool)
-    model = HandModel(X_CH=hand_pose(1)[None], finger_m=np.array([0.02]), finger_free=one, pose_free=one)
+    model = HandModel(
+        X_CH=hand_pose(1)[None],
+        finger_m=np.array([0.02]),
+        finger_free=one,
+        pose_free=one,
+        max_finger_m=one * MAX_FINGER_M,
+    )
     with_copies = solve(model, filled, np.array([0.01])).model.X_CH
     np.testing.assert_allclose(with_copies, solve(model, Correspondences.stack([fewer]), np.array([0.01])).model.X_CH)
 
@@ -140,5 +147,11 @@ def test_a_hand_behind_the_camera_is_an_invalid_solution(cad: GripperCad) -> Non
     behind = hand_pose(0)
     behind[2, 3] *= -1.0
     fixed = np.zeros(1, dtype=bool)
-    model = HandModel(X_CH=behind[None], finger_m=np.array([0.02]), finger_free=fixed, pose_free=fixed)
+    model = HandModel(
+        X_CH=behind[None],
+        finger_m=np.array([0.02]),
+        finger_free=fixed,
+        pose_free=fixed,
+        max_finger_m=np.full(1, MAX_FINGER_M),
+    )
     assert not solve(model, cells, np.array([0.01])).valid.any()

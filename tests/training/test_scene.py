@@ -4,8 +4,9 @@ import pytest
 from kinebench_drake.geometry import invert, transform_points
 from kinebench_drake.grounding.tracking.view import CLOSE_SIZE, WIDE_SIZE, Crop
 from kinebench_drake.models.panda.cad import GripperCad, link_meshes
-from kinebench_drake.models.panda.description import ARM, RobotPart
+from kinebench_drake.models.panda.description import ARM, GRIPPER, RobotPart
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M
+from kinebench_drake.models.robotiq.cad import robotiq_2f85
 from training.crops import (
     CLOSE_EVERY,
     WRIST_TARGET,
@@ -16,8 +17,8 @@ from training.crops import (
     label,
 )
 from training.frame import DEPTH_UNIT_M
-from training.layout import ShownGripper, random_gripper
-from training.render import FRAMES_PER_SCENE, OTHERS, SceneRenderer
+from training.layout import ShownGripper, TrainedNetwork, random_gripper
+from training.render import FRAMES_PER_SCENE, SHOWN, SceneRenderer
 from training.scene import TrainingScene
 
 pytestmark = pytest.mark.sapien
@@ -66,13 +67,43 @@ def test_a_handless_scene_shows_an_arm_without_gripper(shards: Shards) -> None:
 @pytest.fixture(scope="module")
 def other_shards(tmp_path_factory: pytest.TempPathFactory) -> Shards:
     folder = tmp_path_factory.mktemp("other")
-    assert OTHERS[0] is ShownGripper.OTHER
-    SceneRenderer(folder, arm=True)(0)
+    assert SHOWN[TrainedNetwork.ARM][0] is ShownGripper.OTHER
+    SceneRenderer(folder, TrainedNetwork.ARM)(0)
     return Shards([folder])
 
 
 def test_other_grippers_are_labelled_background(other_shards: Shards) -> None:
     parts = {part for i in range(FRAMES_PER_SCENE) for part in np.unique(other_shards[i].part)}
+    assert parts <= {RobotPart.BACKGROUND, *ARM}
+    assert len(parts) > 4
+
+
+@pytest.fixture(scope="module")
+def robotiq_shards(tmp_path_factory: pytest.TempPathFactory) -> Shards:
+    """One scene with a Robotiq 2F-85, and one with the Franka hand, for the network of the former."""
+    folder = tmp_path_factory.mktemp("robotiq")
+    shown = SHOWN[TrainedNetwork.ROBOTIQ]
+    for seed in (0, shown.index(ShownGripper.FRANKA)):
+        SceneRenderer(folder, TrainedNetwork.ROBOTIQ)(seed)
+    return Shards([folder])
+
+
+def test_coordinates_of_a_robotiq_lie_on_its_model_at_the_opening(robotiq_shards: Shards) -> None:
+    """The depth of a pixel and the pose of its part give a point on the surface of the CAD model."""
+    cad = GripperCad(robotiq_2f85())
+    for i in range(FRAMES_PER_SCENE):
+        frame = robotiq_shards[i]
+        pixels = np.isin(frame.part, GRIPPER)
+        if pixels.sum() < 100:
+            continue
+        camera = frame_camera(frame)
+        rays = camera.rays().reshape(-1, 3)[pixels.ravel()]
+        distance, _ = cad.first_hits(frame.X_CH, rays, frame.finger_m)
+        assert np.median(np.abs(distance - frame.depth[pixels] * DEPTH_UNIT_M)) < 1e-3
+
+
+def test_a_hand_of_franka_is_background_to_the_network_of_the_robotiq(robotiq_shards: Shards) -> None:
+    parts = {part for i in range(FRAMES_PER_SCENE) for part in np.unique(robotiq_shards[FRAMES_PER_SCENE + i].part)}
     assert parts <= {RobotPart.BACKGROUND, *ARM}
     assert len(parts) > 4
 

@@ -10,8 +10,9 @@ from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.models.panda.description import RobotPart
 from kinebench_drake.models.perception.network import DenseOutput, load_network
 from training.crops import Shards
+from training.layout import TrainedNetwork
 from training.loop import Schedule
-from training.train import TrainingConfig, losses, train
+from training.train import TrainingConfig, likelier_half_turn, losses, train
 
 
 def config(shards: Shards, out: Path) -> TrainingConfig:
@@ -23,7 +24,10 @@ def config(shards: Shards, out: Path) -> TrainingConfig:
 
 @pytest.mark.sapien
 def test_training_the_arm_alone_gives_its_own_weights(shards: Shards, tmp_path: Path) -> None:
-    weights = [train(replace(config(shards, tmp_path / str(arm)), arm=arm), lambda _: None) for arm in (True, False)]
+    weights = [
+        train(replace(config(shards, tmp_path / network.value), network=network), lambda _: None)
+        for network in (TrainedNetwork.ARM, TrainedNetwork.GRIPPER)
+    ]
     assert [file.name for file in weights] == ["arm.safetensors", "gripper.safetensors"]
     of_arm, of_gripper = (load_file(file) for file in weights)
     assert any((of_arm[key] != of_gripper[key]).any() for key in of_arm)  # other crops of the same frames
@@ -97,3 +101,24 @@ def test_resuming_with_another_configuration_is_refused(shards: Shards, tmp_path
     train(first, lambda _: None)
     with pytest.raises(UsageError, match="holds a training with"):
         train(replace(first, schedule=replace(first.schedule, seed=1)), lambda _: None)
+
+
+def test_labels_after_half_a_turn_count_where_the_output_is_nearer_to_them() -> None:
+    """Each crop by itself; arm and background stay."""
+    part = torch.tensor([[[1, 2], [3, 4]]]).repeat(2, 1, 1)
+    coordinates = torch.arange(12.0).reshape(1, 3, 2, 2).repeat(2, 1, 1, 1) / 10
+    half_turn = torch.tensor([-1.0, -1.0, 1.0])[:, None, None]
+    predicted = torch.stack([coordinates[0], coordinates[0] * half_turn])[:, None].repeat(1, 2, 1, 1, 1)
+    output = DenseOutput(
+        part_logits=torch.zeros(2, len(RobotPart), 2, 2),
+        coordinates=predicted,
+        coordinate_log_scale=torch.zeros(2, 2, 2, 2),
+        log_depth=torch.zeros(2, 2, 2),
+        depth_log_scale=torch.zeros(2, 2, 2),
+    )
+    likelier = likelier_half_turn(output, {"part": part, "coordinates": coordinates})
+    assert likelier["part"].tolist() == [[[1, 2], [3, 4]], [[1, 3], [2, 4]]]
+    assert torch.equal(likelier["coordinates"][0], coordinates[0])
+    gripper = part[1] < 4
+    assert torch.equal(likelier["coordinates"][1][:, gripper], (coordinates[1] * half_turn)[:, gripper])
+    assert torch.equal(likelier["coordinates"][1][:, ~gripper], coordinates[1][:, ~gripper])

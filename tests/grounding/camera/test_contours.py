@@ -14,7 +14,7 @@ from kinebench_drake.grounding.camera.check import CLEARLY, CameraChecker
 from kinebench_drake.grounding.camera.detections import ArmDetections
 from kinebench_drake.grounding.camera.estimate import JOINT_SIGMA_RAD, CameraEstimator, usual_camera
 from kinebench_drake.grounding.camera.lens import Lens, solve_pnp, with_focal
-from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
+from kinebench_drake.models.panda.cad import PartCaster, franka_hand, link_meshes
 from kinebench_drake.models.panda.description import RobotPart, hand_from_tcp
 from kinebench_drake.track import GripperTrack
 from tests.grounding.camera.robot import postures, project_robot
@@ -34,11 +34,11 @@ def film(model):
     """Postures and images of a shaded robot before a plain background, with noise."""
     q = postures(3)
     rng = np.random.default_rng(0)
-    caster = PartCaster({**part_meshes(), **link_meshes()})
+    caster = PartCaster(franka_hand(), link_meshes())
     rays = CAMERA.rays().reshape(-1, 3)
     frames = []
     for X_BP in model.poses(q):
-        hit = caster.cast(open_fingers(invert(CAMERA.X_BC) @ X_BP, FINGER_M), rays)
+        hit = caster.cast(franka_hand().open(invert(CAMERA.X_BC) @ X_BP, FINGER_M), rays)
         shade = 120.0 + 120.0 * np.abs(hit.normal @ [0.3, -0.8, -0.5])
         grey = np.where(hit.part > 0, shade, 50.0) + rng.normal(0, 4.0, len(rays))
         frames.append(np.repeat(np.clip(grey, 0, 255).astype(np.uint8).reshape(320, 320, 1), 3, axis=2))

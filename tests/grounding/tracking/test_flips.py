@@ -1,8 +1,9 @@
 import numpy as np
 
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.tracking.markov import X_HALF_TURN, flip_evidence, resolve_flips
+from kinebench_drake.grounding.tracking.markov import flip_evidence, resolve_flips
 from kinebench_drake.grounding.tracking.pose import FramePose
+from kinebench_drake.models.gripper import X_HALF_TURN
 from kinebench_drake.models.panda.cad import GripperCad
 from tests.grounding.conftest import fitted_pose, hand_pose, perfect_view
 
