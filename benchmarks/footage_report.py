@@ -11,8 +11,9 @@ from benchmarks.perception.clip import TruthClipFile
 from benchmarks.record import current_revision
 from kinebench_drake.executors.base import Observer
 from kinebench_drake.io.atomic import make_folder, write_atomically
-from kinebench_drake.io.jsonl import Json, dump, finite
+from kinebench_drake.io.jsonl import Json, dump
 from kinebench_drake.models.panda.description import GripperKind
+from kinebench_drake.results.record import to_json
 
 _POSES = (ReferenceKind.SIMULATOR, ReferenceKind.JOINTS, ReferenceKind.EDGES)
 
@@ -35,7 +36,7 @@ def measure(folder: Path, out: Path, gripper: GripperKind, observer: Observer) -
     lines += _label_lines([(v, t) for v, t in pairs if kinds[v.id] is ReferenceKind.LABELS], labels, result)
     lines += _anomaly_lines(tracks, labels, result)
     text = "\n".join(lines) + "\n"
-    write_atomically(out / "footage.json", dump(finite(result), indent=1).encode())
+    write_atomically(out / "footage.json", dump(to_json(result), indent=1).encode())
     write_atomically(out / "footage.md", text.encode())
     return text
 

@@ -172,7 +172,8 @@ def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:
         shares = (f"{cause.value} {causes[cause.value] / n:.0%} ({causes[cause.value]})" for cause in FailureVerdict)
         undecided = f", undecided {causes[None] / n:.0%} ({causes[None]})" if causes[None] else ""
         yield f"attribution of {count_noun(n, 'failure')}: {', '.join(shares)}{undecided}"
-    faults = [f"anomalies: {_count_samples(row.anomalies for row in rows)}"] if _has_anomalies(rows) else []
+    is_video = any("anomalies" in row.metrics for row in rows)
+    faults = [f"anomalies: {_count_samples(row.anomalies for row in rows)}"] if is_video else []
     if any(row.violations for row in rows) or not faults:
         faults.append(f"violated limits: {_count_samples(row.violations for row in rows)}")
     open_ = Counter(r for row in rows for r in row.executable_reasons if reason_kind(r) == UNCHECKED)
@@ -200,11 +201,6 @@ def _open_rows(rows: Sequence[SampleRow]) -> dict[str, list[str]]:
             for status in (Status.UNMEASURABLE, Status.ERROR)
         },
     }
-
-
-def _has_anomalies(rows: Sequence[SampleRow]) -> bool:
-    """Return whether anomalies were looked for: trajectories without a video have none."""
-    return any("anomalies" in row.metrics for row in rows)
 
 
 def _share(name: str, rows: Sequence[SampleRow]) -> str:

@@ -108,10 +108,12 @@ def write_part(
     ends = np.zeros(len(actions), dtype=bool)
     ends[-1] = truncated
     arrays = {"actions": actions, "terminated": success, "truncated": ends, "success": success}
-    for kind, objects in states[0].items():
-        for name in objects:
-            arrays[f"{_STATES}/{kind}/{name}"] = np.stack([state[kind][name] for state in states])
-    write_arrays(path, arrays)
+    parts = {
+        f"{_STATES}/{kind}/{name}": np.stack([state[kind][name] for state in states])
+        for kind, objects in states[0].items()
+        for name in objects
+    }
+    write_arrays(path, {**arrays, **parts})
 
 
 def join_parts(

@@ -161,17 +161,6 @@ def dump(value: Json, *, indent: int | None = None) -> str:
     return json.dumps(value, allow_nan=False, indent=indent) + "\n"
 
 
-def finite(value: Json) -> Json:
-    """Return `value` with null in place of every NaN and infinity, which strict JSON does not have."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {k: finite(v) for k, v in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [finite(v) for v in value]
-    return value
-
-
 def intern_text(value: Any) -> Any:
     """Return `value` with valid Unicode text, equal strings being one object.
 

@@ -11,7 +11,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import FAINT, new_figure
 from kinebench_drake.report.figures import INK, NEUTRAL, VERDICT_COLOURS, inline_figure
 from kinebench_drake.report.metric import Metric
-from kinebench_drake.results.aggregate import Estimate
+from kinebench_drake.results.aggregate import Estimate, group_by
 
 _MAX_BINS = 24
 _MIN_BINS = 8
@@ -91,9 +91,13 @@ def count_values(metric: Metric, values: Sequence[tuple[str, float | None]], est
     shown = inside if compressed else finite
     bins = int(np.clip(np.ceil(2.0 * finite.size ** (1.0 / 3.0)), _MIN_BINS, _MAX_BINS))
     edges = np.linspace(shown.min(), shown.max(), bins + 1)
-    counts = {}
-    for verdict in dict.fromkeys(verdict for verdict, _ in measured):
-        own = [value for name, value in measured if name == verdict]
-        counts[verdict] = np.histogram(np.clip(own, edges[0], edges[-1]), edges)[0]
-    outliers = int(((finite < edges[0]) | (finite > edges[-1])).sum())
-    return Histogram(metric=metric, edges=edges, counts=counts, median=median, outliers=outliers, estimate=estimate)
+    groups = group_by(measured, lambda pair: pair[0])
+    clipped = {verdict: np.clip([v for _, v in own], edges[0], edges[-1]) for verdict, own in groups.items()}
+    return Histogram(
+        metric=metric,
+        edges=edges,
+        counts={verdict: np.histogram(own, edges)[0] for verdict, own in clipped.items()},
+        median=median,
+        outliers=int(((finite < edges[0]) | (finite > edges[-1])).sum()),
+        estimate=estimate,
+    )

@@ -108,10 +108,15 @@ def write_leaderboard(bundles: Sequence[Path], out: Path, rank_suites: Callable[
 def _rank_samples(runs: Sequence[Run]) -> Ranking:
     """Return the ranking of runs without episodes."""
     samples = label_samples(runs)
-    entries = []
-    for model, own in group_by(samples, lambda sample: sample.model).items():
-        of = list({sample.run.path: sample.run for sample in own}.values())
-        entries.append(ModelEntry(part="", model=model, runs=of, rows=[sample.row for sample in own]))
+    entries = [
+        ModelEntry(
+            part="",
+            model=model,
+            runs=list({sample.run.path: sample.run for sample in own}.values()),
+            rows=[sample.row for sample in own],
+        )
+        for model, own in group_by(samples, lambda sample: sample.model).items()
+    ]
     _, comparison = tabulate_headlines(lambda: compare_samples(runs).numbers)
     return entries, [comparison], tabulate_samples(samples)
 

@@ -12,7 +12,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.report.metric import BY_NAME, Metric
 from kinebench_drake.report.run import check_page_folder
 from kinebench_drake.report.table import Table, Value, make_table, table_lines
-from kinebench_drake.results.aggregate import Estimate, estimate
+from kinebench_drake.results.aggregate import Estimate, estimate, group_by
 from kinebench_drake.results.direction import LOWER_IS_BETTER
 from kinebench_drake.results.power import episodes_to_decide, least_difference
 from kinebench_drake.results.row import SampleRow, Status
@@ -113,18 +113,16 @@ def compare_numbers(pairs: Sequence[RowsPair], first: str, second: str, part: st
     Args:
         pairs: rows of the first and of the second model of the same samples; several rows of an episode are averaged.
     """
-    tasks: dict[str, list[RowsPair]] = {}
-    for pair in pairs:
-        tasks.setdefault(pair[0][0].task or pair[1][0].task or "unnamed", []).append(pair)
+    tasks = group_by(pairs, lambda pair: pair[0][0].task or pair[1][0].task or "unnamed")
     groups = [(ALL_TASKS, pairs, tuple(NUMBERS))]
     if len(tasks) > 1:
         groups += [(task, tasks[task], HEADLINES) for task in sorted(tasks)]
-    comparisons = []
-    for task, own, names in groups:
-        for name in names:
-            if any(row.number(name) is not None for pair in pairs for rows in pair for row in rows):
-                compared = _compare(NUMBERS[name], own, part=part, task=task, first=first, second=second)
-                comparisons.append(compared)
+    comparisons = [
+        _compare(NUMBERS[name], own, part=part, task=task, first=first, second=second)
+        for task, own, names in groups
+        for name in names
+        if any(row.number(name) is not None for pair in pairs for rows in pair for row in rows)
+    ]
     adjusted = {
         (name, task): p
         for name in HEADLINES
@@ -249,8 +247,7 @@ def verdict_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
     for name in RANKING:
         for c in comparisons:
             if c.metric.name == name and c.task == ALL_TASKS and c.paired is not None:
-                uppers = c.means[0].upper, c.means[1].upper
-                yield verdict_line(c.first, c.second, c.part, name, c.paired, uppers)
+                yield verdict_line(c.first, c.second, c.part, name, c.paired, (c.means[0].upper, c.means[1].upper))
 
 
 def verdict_line(

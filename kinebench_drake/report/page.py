@@ -110,7 +110,6 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
     ]
     views = {sample.row.id: sample for sample in samples}
     columns = [BY_NAME[n] for n in layout.columns if _is_measured(total, n)]
-    verdicts = Counter(map(verdict_of, rows))
     templates = template_environment()
     templates.filters |= {
         "chips": _fault_chips,
@@ -119,8 +118,8 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         "named": name_verdict,
         "explanation": explain_verdict,
         "trust": describe_trust,
+        "severity_unit": lambda kind: SEVERITY_UNITS.get(kind, ""),
     }
-    templates.filters["severity_unit"] = lambda kind: SEVERITY_UNITS.get(kind, "")
     return templates.get_template("page.html.j2").render(
         title=_title(results),
         stamp=_stamp(out),
@@ -148,7 +147,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         drawn=min(DRAWN, len(samples)),
         left_out=max(len(rows) - DRAWN, 0),
         unlisted=len(rows) - len(samples),
-        counts={v: verdicts[v] for v in VERDICT_LABELS if v in verdicts},
+        counts=_count_verdicts(rows),
         numeric_value=numeric_value,
         Status=Status,
     )
@@ -168,12 +167,16 @@ def _bootstrap_seed(results: Mapping[str, Json]) -> int:
 
 def _group_rows(rows: Sequence[SampleRow], key: str, statistics: RunStatistics) -> list[SampleGroup]:
     """Group rows by `task` or `model`, sorted by name; rows without one are left out."""
-    groups = []
-    for name, group in split_rows(rows, key).items():
-        verdicts = Counter(map(verdict_of, group))
-        counts = {verdict: verdicts[verdict] for verdict in VERDICT_LABELS if verdict in verdicts}
-        groups.append(SampleGroup(name=name, total=statistics.groups[key][name], verdicts=counts))
-    return groups
+    return [
+        SampleGroup(name=name, total=statistics.groups[key][name], verdicts=_count_verdicts(group))
+        for name, group in split_rows(rows, key).items()
+    ]
+
+
+def _count_verdicts(rows: Sequence[SampleRow]) -> dict[str, int]:
+    """Count the verdicts that occur, in the order of their labels."""
+    verdicts = Counter(map(verdict_of, rows))
+    return {verdict: verdicts[verdict] for verdict in VERDICT_LABELS if verdict in verdicts}
 
 
 def _count_metrics(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLayout) -> list[Histogram]:

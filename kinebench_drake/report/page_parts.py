@@ -50,8 +50,12 @@ def write_parts(
         if table.latex:
             write_atomically(out / f"{table.name}.tex", table_latex(table).encode())
     templates = template_environment()
-    templates.filters |= {"key": sort_key}
-    templates.filters |= {"verdict": verdict_of, "named": name_verdict, "explanation": explain_verdict}
+    templates.filters |= {
+        "key": sort_key,
+        "verdict": verdict_of,
+        "named": name_verdict,
+        "explanation": explain_verdict,
+    }
     text = templates.get_template(template).render(
         title=title,
         parts=[

@@ -93,11 +93,6 @@ def embed_thumbnail(out: Path, row: SampleRow) -> str:
     return f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
 
 
-def is_viewable(out: Path, row: SampleRow) -> bool:
-    """Return whether `view` can show the sample: it has a track, in the base frame."""
-    return _has_track(out, row) and row.base_frame_reason is None
-
-
 def _has_track(out: Path, row: SampleRow) -> bool:
     return row.status is Status.OK and artifact_path(out, "tracks", row.id).is_file()
 
@@ -114,7 +109,7 @@ def view_sample(out: Path, row: SampleRow, *, pictured: bool, drawn: bool) -> Sa
         pictured: whether to include its image.
         drawn: whether to read its track and draw its curves.
     """
-    viewable = is_viewable(out, row)
+    viewable = _has_track(out, row) and row.base_frame_reason is None
     file = read_track(artifact_path(out, "tracks", row.id)) if drawn and _has_track(out, row) else None
     links = {
         part: relative_link(path, out)

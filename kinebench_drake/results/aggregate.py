@@ -190,10 +190,8 @@ def estimate_passes(rows: Sequence[SampleRow], seed: int = 0) -> dict[int, Estim
     Means over the episodes with k measured samples (`stats.pass_at_k`) with intervals over episodes. In the bound
     samples that were not measured are failures. Empty if every episode has one sample.
     """
-    episodes: dict[str, list[float | None]] = {}
-    for row in rows:
-        success = row.success if row.status is Status.OK else None
-        episodes.setdefault(row.episode, []).append(success)
+    groups = group_by(rows, lambda row: row.episode)
+    episodes = {name: [row.success if row.status is Status.OK else None for row in own] for name, own in groups.items()}
     most = max(map(len, episodes.values()), default=0)
     if most < 2:
         return {}
@@ -217,11 +215,7 @@ def estimate_passes(rows: Sequence[SampleRow], seed: int = 0) -> dict[int, Estim
 
 def split_rows(rows: Iterable[SampleRow], key: str) -> dict[str, list[SampleRow]]:
     """Group rows by their `task` or `model`, sorted; rows without one are left out."""
-    groups: dict[str, list[SampleRow]] = {}
-    for row in rows:
-        name = getattr(row, key)
-        if name is not None:
-            groups.setdefault(name, []).append(row)
+    groups = group_by((row for row in rows if getattr(row, key) is not None), lambda row: str(getattr(row, key)))
     return dict(sorted(groups.items()))
 
 

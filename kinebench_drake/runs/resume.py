@@ -7,8 +7,9 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.archive import hash_file
-from kinebench_drake.io.jsonl import Json, dump, finite
+from kinebench_drake.io.jsonl import Json, dump
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
+from kinebench_drake.results.record import to_json
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.runs.evaluator import Evaluator, ResourcesT, SampleHashes, SampleT
@@ -93,7 +94,7 @@ def hash_sample(evaluator: Evaluator[SampleT, ResourcesT], sample: SampleT) -> S
         "sample": [sample.id, sample.video, sample.task, sample.model],
         **evaluator.cache_key(sample),
     }
-    content = hashlib.sha256(dump(finite(key)).encode())  # labels of a broken sample may be NaN
+    content = hashlib.sha256(dump(to_json(key)).encode())  # labels of a broken sample may be NaN
     digests = [(file.name.encode(errors="surrogateescape"), _digest(file)) for file in evaluator.input_files(sample)]
     for name, digest in digests:
         content.update(name + b"\0" + digest)

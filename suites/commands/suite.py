@@ -30,11 +30,8 @@ def suite() -> None:
     """Work with the benchmark's tasks and suites."""
 
 
-suite.add_command(export)
-suite.add_command(demos)
-suite.add_command(run)
-suite.add_command(plan)
-suite.add_command(report)
+for command in (export, demos, run, plan, report):
+    suite.add_command(command)
 
 
 @suite.command(

@@ -227,10 +227,11 @@ def draw_correlation(episodes: Sequence[EpisodeResult], study: CorrelationStudy)
     own_names = {e.model: model_of(e.row) for e in episodes}
     labels = {model: model if len(own_names) <= len(COLOURS) else name for model, name in own_names.items()}
     models = list(dict.fromkeys(labels.values()))
-    points = []
-    for (part, model, _), (metric, success) in _means_by_task(episodes, predictor).items():
-        if np.isfinite(metric) and np.isfinite(success):
-            points.append((part, labels[model], metric, success))
+    points = [
+        (part, labels[model], metric, success)
+        for (part, model, _), (metric, success) in _means_by_task(episodes, predictor).items()
+        if np.isfinite(metric) and np.isfinite(success)
+    ]
     if not points:
         return None
 

@@ -74,11 +74,6 @@ class EpisodeResult:
         return self.row.success if self.row.status is Status.OK else None
 
     @property
-    def executable(self) -> float:
-        """1 if the generated videos can be executed as a whole, else 0."""
-        return float(self.row.executable is True)
-
-    @property
     def outcome(self) -> str:
         """The word "success", "failure", "unmeasurable", "error" or "undecided"."""
         if self.success is not None:
@@ -197,7 +192,7 @@ def executable_share(episodes: Sequence[EpisodeResult], among: Iterable[EpisodeR
     """Return the share of executable episodes, mean over tasks; None if no episode of a report, `among`, is judged."""
     if all(e.row.executable is None for e in among):
         return None
-    return mean_over_tasks(episodes, lambda e: e.executable)
+    return mean_over_tasks(episodes, lambda e: float(e.row.executable is True))
 
 
 def worst_metric(name: str, episodes: Iterable[EpisodeResult]) -> float | None:

@@ -7,7 +7,6 @@ change the shade of some pixels along edges.
 """
 
 import hashlib
-import io
 import re
 from dataclasses import replace
 from functools import cache
@@ -20,8 +19,9 @@ from mani_skill.render import PREBUILT_SHADER_CONFIGS, ShaderConfig, set_shader_
 from numpy.typing import NDArray
 
 from kinebench_drake.environment import native
-from kinebench_drake.io.atomic import atomic_folder, disk_errors, write_atomically
+from kinebench_drake.io.atomic import atomic_folder, disk_errors
 from kinebench_drake.io.files import cache_folder
+from kinebench_drake.io.npz import write_arrays
 from kinebench_drake.models.panda.cad import simplify
 from kinebench_drake.models.panda.description import ARM, LINK_OF
 
@@ -110,9 +110,7 @@ def _surfaces(file: str) -> tuple[NDArray[np.float32], ...]:
     if not path.is_file():
         parts = sapien.render.RenderShapeTriangleMesh(file).parts
         surfaces = [_simplify(part.vertices, part.triangles.reshape(-1, 3), part.get_vertex_normal()) for part in parts]
-        buffer = io.BytesIO()
-        np.savez(buffer, *surfaces)
-        write_atomically(path, buffer.getvalue())
+        write_arrays(path, {f"part_{k}": surface for k, surface in enumerate(surfaces)})
     with np.load(path, allow_pickle=False) as stored:
         return tuple(stored[name] for name in stored.files)
 

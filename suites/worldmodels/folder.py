@@ -7,6 +7,7 @@ from typing import Any
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, read_text
 from kinebench_drake.io.jsonl import parse_json
+from kinebench_drake.results.aggregate import group_by
 from kinebench_drake.suites.worldmodels.media import check_video
 from kinebench_drake.suites.worldmodels.spec import Options, Spec
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModel, WorldModelError
@@ -99,12 +100,8 @@ class FolderModel(WorldModel):
         changed_ns = self._folder.stat().st_mtime_ns
         if changed_ns != self._listed_ns:
             self._listed_ns = changed_ns
-            self._stems = {}
-            for path in sorted(self._folder.iterdir()):
-                if path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir():
-                    self._stems.setdefault(path.stem, []).append(path)
-                elif path.is_dir():
-                    self._stems.setdefault(path.name, []).append(path)
+            entries = [p for p in sorted(self._folder.iterdir()) if p.is_dir() or p.suffix.lower() in VIDEO_SUFFIXES]
+            self._stems = group_by(entries, lambda path: path.name if path.is_dir() else path.stem)
         return self._stems
 
     def _check(self, path: Path) -> Path:

@@ -15,8 +15,8 @@ from kinebench_drake.cli import cli
 from kinebench_drake.errors import InputError, KinebenchError, UnmeasurableError, UsageError
 from kinebench_drake.formats.camerafile import save_camera
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.io.jsonl import finite
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.results.record import to_json
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.results.trackfile import read_track
@@ -161,7 +161,7 @@ def test_audit_trajectory_returns_the_metrics_that_the_audit_command_writes(prog
         audit_trajectory(q, rate_hz=10),
     ):
         assert judged.feasible is row.feasible is True
-        assert all(row.metrics[name] == finite(value) for name, value in judged.metrics.items())
+        assert all(row.metrics[name] == to_json(value) for name, value in judged.metrics.items())
         np.testing.assert_array_equal(judged.joints.q, q)
     with pytest.warns(UserWarning, match="8 columns"):
         audit_trajectory(np.hstack([q, q[:, :1]]), t_s=t_s)

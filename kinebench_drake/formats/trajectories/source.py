@@ -44,6 +44,7 @@ from kinebench_drake.io.files import absence, read_text
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
 from kinebench_drake.io.jsonl import read_object
 from kinebench_drake.io.npz import open_npz, read_npy
+from kinebench_drake.results.aggregate import group_by
 from kinebench_drake.results.store import SAMPLES, read_rows
 from kinebench_drake.segments import evenly
 
@@ -285,10 +286,8 @@ def apply_reading(sample: TrajectorySample, table: ColumnTable, reading: Reading
 
 def _with_alike(samples: Sequence[TrajectorySample]) -> list[TrajectorySample]:
     """Return samples with some of the others of their file or dataset, which are described together."""
-    groups: dict[Path, list[TrajectorySample]] = {}
-    for sample in samples:
-        if (sample.part is not None or sample.rows is not None) and sample.problem is None:
-            groups.setdefault((*sample.about, sample.path)[0], []).append(sample)
+    parts = [s for s in samples if (s.part is not None or s.rows is not None) and s.problem is None]
+    groups = group_by(parts, lambda sample: (*sample.about, sample.path)[0])
     chosen = {key: tuple(group[k] for k in evenly(len(group), ALIKE)) for key, group in groups.items()}
     return [replace(sample, alike=chosen.get((*sample.about, sample.path)[0], ())) for sample in samples]
 

@@ -180,11 +180,14 @@ def _tray(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
 
 def _walls(x: float, y: float, height: float, thick: float) -> list[tuple[list[float], list[float]]]:
     """Return extents and centres of four walls around an interior of `x` by `y`."""
-    walls = []
-    for sign in (-1.0, 1.0):
-        walls.append(([thick, y + 2.0 * thick, height], [sign * (x + thick) / 2.0, 0.0, height / 2.0]))
-        walls.append(([x, thick, height], [0.0, sign * (y + thick) / 2.0, height / 2.0]))
-    return walls
+    return [
+        wall
+        for sign in (-1.0, 1.0)
+        for wall in (
+            ([thick, y + 2.0 * thick, height], [sign * (x + thick) / 2.0, 0.0, height / 2.0]),
+            ([x, thick, height], [0.0, sign * (y + thick) / 2.0, height / 2.0]),
+        )
+    ]
 
 
 _STYLES = (_bowl, _basket, _tray, _plate)
