@@ -188,7 +188,7 @@ class CauseWorker:
         cause = find_cause(run, [self._tools.judge(r.grounding.track) for r in run.rounds])
         return CauseResult(
             case=case,
-            verdict=None if cause is None else cause.verdict,
+            verdict=None if cause is None else FailureVerdict(cause.verdict),
             text="succeeded in spite of the cause" if cause is None else cause.text,
         )
 

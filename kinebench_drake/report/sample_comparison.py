@@ -112,12 +112,8 @@ def tabulate_samples(samples: Sequence[ModelSample]) -> Table:
     return make_listing("samples", keys, rows)
 
 
-def _task_and_seed(row: SampleRow) -> Hashable | None:
-    return None if row.task is None or row.seed is None else (row.task, row.seed)
-
-
 KEYS: Mapping[str, Callable[[SampleRow], Hashable | None]] = {
-    "task and seed": _task_and_seed,
+    "task and seed": lambda row: None if row.task is None or row.seed is None else (row.task, row.seed),
     "id": lambda row: row.id,
     "file name": lambda row: Path(row.video).stem or None,
 }

@@ -49,17 +49,18 @@ def fault_lanes(row: SampleRow, track: GripperTrack) -> list[FaultLane]:
     )
     for category, marks in faults:
         for kind, own in group_by(marks, lambda mark: mark.kind.value).items():
-            frames = _cover(own, len(track.t_s))
-            lanes.append(FaultLane(label=kind.replace("_", " "), category=category, frames=frames))
+            lanes.append(
+                FaultLane(label=kind.replace("_", " "), category=category, frames=covered(own, len(track.t_s)))
+            )
     tracked = track.tracked.astype(bool)
     lanes.append(FaultLane(label="not tracked", category=LOST, frames=~tracked))
     lanes.append(FaultLane(label="doubtful", category=DOUBTFUL, frames=tracked & (track.confidence < MIN_CONFIDENCE)))
     return [lane for lane in lanes if lane.frames.any()]
 
 
-def _cover(marks: Iterable[Violation | Anomaly], n: int) -> NDArray[np.bool_]:
-    """Return which of n frames any of some violations or anomalies covers."""
-    covered = np.zeros(n, dtype=bool)
+def covered(marks: Iterable[Violation | Anomaly], n: int, margin: int = 0) -> NDArray[np.bool_]:
+    """Return which of n frames are in, or at most `margin` frames from, any of some violations or anomalies."""
+    frames = np.zeros(n, dtype=bool)
     for mark in marks:
-        covered[max(mark.frame_start, 0) : max(mark.frame_end + 1, 0)] = True
-    return covered
+        frames[max(mark.frame_start - margin, 0) : max(mark.frame_end + 1 + margin, 0)] = True
+    return frames

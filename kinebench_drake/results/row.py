@@ -162,9 +162,13 @@ class CauseEntry:
 
     verdict: str
     round: int | None
+    """Clip with the evidence; null for the episode as a whole."""
     frame_start: int | None
+    """First frame of the evidence in this clip (0-based)."""
     frame_end: int | None
+    """Last one, inclusive."""
     value: float | None
+    """Measured value, in the unit of `text`."""
     limit: float | None
     text: str
     unknown: Mapping[str, object] = field(default_factory=dict, repr=False)

@@ -5,7 +5,7 @@ the video is not one of the robot, and a deviation of the robot is not one of th
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -16,6 +16,8 @@ from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.metrics.executable import FailureVerdict
 from kinebench_drake.metrics.kinematic_result import KinematicResult
+from kinebench_drake.report.timeline import covered
+from kinebench_drake.results.row import CauseEntry
 from kinebench_drake.segments import segments
 from kinebench_drake.suites.closed_loop.loop import EpisodeRun, Round
 
@@ -28,27 +30,6 @@ LOST_FRAMES = 3
 """Number of consecutive frames without a pose, or without a gap between the fingers, that may hide the cause."""
 LOST_SHARE = 0.1
 """Share of all frames without a pose from which on they may hide it."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cause:
-    """Verdict with its evidence."""
-
-    verdict: FailureVerdict
-    round: int | None = None
-    """Clip with the evidence; None for the episode as a whole."""
-    frame_start: int | None = None
-    """First frame of the evidence in this clip (0-based)."""
-    frame_end: int | None = None
-    """Last one, inclusive."""
-    value: float | None = None
-    """Measured value, in the unit of `text`."""
-    limit: float | None = None
-    text: str
-
-    def to_json(self) -> dict[str, str | int | float | None]:
-        """Serialize into the `cause` field of samples.jsonl."""
-        return {**asdict(self), "verdict": self.verdict.value}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +54,7 @@ class ClipEvidence:
     """Infeasible parts of the motion: kind, first and last frame."""
 
 
-def find_cause(run: EpisodeRun, results: Sequence[KinematicResult]) -> Cause | None:
+def find_cause(run: EpisodeRun, results: Sequence[KinematicResult]) -> CauseEntry | None:
     """Return the cause of failure of an episode with the kinematic results of its clips; None if it succeeded."""
     if run.outcome.success:
         return None
@@ -107,18 +88,29 @@ def _unexplained(grounding: GroundingResult) -> tuple[Anomaly, ...]:
     )
 
 
-def attribute(clips: Sequence[ClipEvidence], goal: str) -> Cause:
+def attribute(clips: Sequence[ClipEvidence], goal: str) -> CauseEntry:
     """Return the first cause that applies to a failed episode; `goal` describes the conditions that are not met."""
     for verdict, find in _TESTS:
         for number, clip in enumerate(clips):
             for run, text, value, limit in find(clip):
-                start = run.start
-                end = run.stop - 1
-                return Cause(
-                    verdict=verdict, round=number, frame_start=start, frame_end=end, value=value, limit=limit, text=text
+                return CauseEntry(
+                    verdict=verdict.value,
+                    round=number,
+                    frame_start=run.start,
+                    frame_end=run.stop - 1,
+                    value=value,
+                    limit=limit,
+                    text=text,
                 )
-    text = f"{goal or 'the goal is not met'} (grounded, feasible and executed as generated)"
-    return Cause(verdict=FailureVerdict.TASK, text=text)
+    return CauseEntry(
+        verdict=FailureVerdict.TASK.value,
+        round=None,
+        frame_start=None,
+        frame_end=None,
+        value=None,
+        limit=None,
+        text=f"{goal or 'the goal is not met'} (grounded, feasible and executed as generated)",
+    )
 
 
 _Evidence: TypeAlias = Iterator[tuple[slice, str, float | None, float | None]]
@@ -198,10 +190,7 @@ def _hidden_moves(clip: ClipEvidence) -> Iterator[slice]:
 
 def _faulty(clip: ClipEvidence) -> NDArray[np.bool_]:
     """Return the frames (T,) within one frame of an anomaly."""
-    faulty = np.zeros(len(clip.tracked), dtype=bool)
-    for anomaly in clip.anomalies:
-        faulty[max(anomaly.frame_start - 1, 0) : anomaly.frame_end + 2] = True
-    return faulty
+    return covered(clip.anomalies, len(clip.tracked), margin=1)
 
 
 def _length(run: slice) -> int:

@@ -52,14 +52,19 @@ def astray(metres: float, turn_rad: float, gap_m: float) -> ClipEvidence:
 
 def test_a_failure_without_any_other_cause_is_attributed_to_the_task() -> None:
     cause = attribute([clip(), clip()], "not released")
-    assert cause.verdict is FailureVerdict.TASK
+    assert cause.verdict == FailureVerdict.TASK.value
     assert "not released" in cause.text
 
 
 def test_five_lost_frames_in_a_row_are_attributed_to_grounding() -> None:
     cause = attribute([clip(), lost(10, 14)], "")
-    assert (cause.verdict, cause.round, cause.frame_start, cause.frame_end) == (FailureVerdict.GROUNDING, 1, 10, 14)
-    assert attribute([lost(10, 10)], "").verdict is FailureVerdict.TASK
+    assert (cause.verdict, cause.round, cause.frame_start, cause.frame_end) == (
+        FailureVerdict.GROUNDING.value,
+        1,
+        10,
+        14,
+    )
+    assert attribute([lost(10, 10)], "").verdict == FailureVerdict.TASK.value
 
 
 def test_the_value_of_lost_poses_exceeds_its_limit() -> None:
@@ -80,7 +85,7 @@ def test_a_finger_motion_during_lost_frames_is_attributed_to_grounding(after_m: 
     gap[12:20] = np.nan
     gap[20:] = after_m
     cause = attribute([replace(clip(), finger_width_generated_m=gap, finger_width_executed_m=gap)], "")
-    assert cause.verdict is verdict
+    assert cause.verdict == verdict.value
     assert cause.frame_start == (None if verdict is FailureVerdict.TASK else 12)
 
 
@@ -97,32 +102,32 @@ def test_closed_fingers_that_hold_nothing_hide_no_move_up_to_the_end(
 ) -> None:
     gap = np.where(np.arange(FRAMES) < 12, before_m, np.nan)
     hidden = replace(clip(), finger_width_generated_m=gap, finger_width_executed_m=gap, gripping=gripping)
-    assert attribute([hidden], "").verdict is verdict
+    assert attribute([hidden], "").verdict == verdict.value
 
 
 def test_hidden_fingers_yield_to_causes_in_execution_and_generation() -> None:
     gap = np.where(np.arange(FRAMES) < 12, 0.04, np.nan)
     assert (
         attribute([replace(astray(0.1, 0.0, 0.0), finger_width_generated_m=gap)], "").verdict
-        is FailureVerdict.EXECUTION
+        == FailureVerdict.EXECUTION.value
     )
     assert (
         attribute([replace(vanished(clip(), 3, 8), finger_width_generated_m=gap)], "").verdict
-        is FailureVerdict.GENERATION
+        == FailureVerdict.GENERATION.value
     )
 
 
 def test_a_vanished_gripper_is_attributed_to_generation_and_not_grounding() -> None:
     cause = attribute([vanished(lost(10, 14), 10, 14)], "")
-    assert (cause.verdict, cause.frame_start, cause.frame_end) == (FailureVerdict.GENERATION, 10, 14)
-    assert attribute([vanished(lost(10, 20), 10, 12)], "").verdict is FailureVerdict.GROUNDING
+    assert (cause.verdict, cause.frame_start, cause.frame_end) == (FailureVerdict.GENERATION.value, 10, 14)
+    assert attribute([vanished(lost(10, 20), 10, 12)], "").verdict == FailureVerdict.GROUNDING.value
 
 
 def test_infeasible_motion_is_attributed_to_generation() -> None:
     cause = attribute([replace(astray(0.1, 0.0, 0.0), violations=(("velocity", 11, 12),))], "")
-    assert (cause.verdict, cause.frame_start) == (FailureVerdict.GENERATION, 11)
+    assert (cause.verdict, cause.frame_start) == (FailureVerdict.GENERATION.value, 11)
     after = replace(clip(), violations=(("velocity", FRAMES, FRAMES + 2),))
-    assert attribute([after], "").verdict is FailureVerdict.TASK
+    assert attribute([after], "").verdict == FailureVerdict.TASK.value
 
 
 @pytest.mark.parametrize(
@@ -138,5 +143,5 @@ def test_a_deviation_of_the_executed_gripper_is_attributed_to_execution(
     metres: float, turn_rad: float, gap_m: float, verdict: FailureVerdict
 ) -> None:
     cause = attribute([astray(metres, turn_rad, gap_m)], "")
-    assert cause.verdict is verdict
+    assert cause.verdict == verdict.value
     assert cause.frame_start == (None if verdict is FailureVerdict.TASK else 12)
