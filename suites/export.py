@@ -12,7 +12,7 @@ from PIL import Image
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, Observer, WorkerCrash
-from kinebench_drake.formats.camerafile import save_camera
+from kinebench_drake.formats.camerafile import CAMERA_NAME, save_camera
 from kinebench_drake.io.atomic import atomic_path, make_folder
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import as_object, parse_json, read_object, write_json, write_lines
@@ -30,7 +30,6 @@ from kinebench_drake.suites.start import first_facts
 
 MANIFEST = "manifest.jsonl"
 EPISODES = "episodes.jsonl"
-CAMERA = "camera.json"
 SUMMARY = "suite.json"
 FPS = 17
 """Playback rate of benchmark videos; the task time between two frames is `FRAME_PERIOD_S`."""
@@ -106,7 +105,7 @@ def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -
         frames[done.item] = done.result
         observer.advance(done.result[0].id)
     ordered = [frames[spec] for spec in specs]
-    save_camera(benchmark_camera().resized(config.size, config.size), config.out / CAMERA)
+    save_camera(benchmark_camera().resized(config.size, config.size), config.out / CAMERA_NAME)
     subject = {"suite": config.suite.number, "split": config.split}
     rows = [manifest_row(episode.id, episode, config.prompts, {**subject, **state}) for episode, state in ordered]
     write_lines(config.out / MANIFEST, rows)

@@ -24,7 +24,7 @@ from kinebench_drake.grounding.tracking.pose import FramePose
 from kinebench_drake.grounding.tracking.view import CLOSE_MARGIN, Crop, GripperView
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
-from kinebench_drake.models.panda.description import RobotPart
+from kinebench_drake.models.panda.description import GRIPPER, RobotPart
 from kinebench_drake.segments import segments
 
 LEAST_PX = 600.0
@@ -46,7 +46,6 @@ _LIKE_A_HAND = 0.35
 """Share of the hand's contours on image edges, and of its cells in the mask, from which on a hand may be there."""
 _RENDERED_PX = 64
 """Width of the crop in which hand and arm are rendered [px]."""
-_GRIPPER = (RobotPart.HAND, RobotPart.LEFT_FINGER, RobotPart.RIGHT_FINGER)
 
 
 class Absence(Enum):
@@ -152,13 +151,13 @@ class AbsenceFinder:
         X_VP = invert(crop.X_CV) @ X_CP
         first = self.edges.caster.first_hits(X_VP, rays)[1].reshape(_RENDERED_PX, _RENDERED_PX)
         alone = X_VP.copy()
-        alone[[p for p in RobotPart if p not in _GRIPPER and p is not RobotPart.BACKGROUND], :3, 3] = [0.0, 0.0, -10.0]
+        alone[[p for p in RobotPart if p not in GRIPPER and p is not RobotPart.BACKGROUND], :3, 3] = [0.0, 0.0, -10.0]
         hand = self.edges.caster.first_hits(alone, rays)[1].reshape(first.shape) > 0
         inside = hand & crop.in_image(camera)
         share = inside.sum() / max(1, hand.sum())
         if share < _OUTSIDE:
             return Absence.OUT
-        shown = inside & np.isin(first, _GRIPPER)
+        shown = inside & np.isin(first, GRIPPER)
         if shown.sum() < _UNHIDDEN * inside.sum():
             return Absence.HIDDEN
         if share < _IN_PICTURE:
