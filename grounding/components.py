@@ -1,10 +1,14 @@
 """Parts of the grounding, each loaded when it is first used."""
 
+from collections.abc import Sequence
 from functools import cached_property
 
 from kinebench_drake.grounding.camera.check import CameraChecker
 from kinebench_drake.grounding.camera.estimate import CameraEstimator
 from kinebench_drake.grounding.camera.recognition import Recognition, recognize
+from kinebench_drake.grounding.panels.content import list_panels
+from kinebench_drake.grounding.panels.panel import Panel
+from kinebench_drake.grounding.panels.split import Tile
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.io.frames import Frames
@@ -40,6 +44,10 @@ class GroundingComponents:
         if gripper not in self._arms:
             self._arms[gripper] = GroundingPipeline.create(self._arm_estimator, gripper)
         return self._arms[gripper]
+
+    def panels(self, frames: Frames, tiles: Sequence[Tile]) -> tuple[Panel, ...]:
+        """Return the panels of frames (T, H, W, 3), with what each shows."""
+        return list_panels(frames, tiles, self._arm_estimator)
 
     @cached_property
     def cameras(self) -> CameraEstimator:
