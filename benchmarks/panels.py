@@ -132,7 +132,8 @@ def _picture(kind: PanelKind, film: Film, size: tuple[int, int], lag: int) -> Fi
         return np.stack([_seen_from_hand(film[0], size, 2.0 * np.pi * t / len(film)) for t in times])
     height = min(side, int(side * size[1] / size[0]))
     part = film[:, (side - height) // 3 :][:, :height] if kind is PanelKind.EXTERIOR else film[:, -100:, :100]
-    return np.stack([cv2.resize(part[t], size, interpolation=cv2.INTER_AREA) for t in times])
+    way = cv2.INTER_AREA if size[0] < part.shape[2] else cv2.INTER_LINEAR
+    return np.stack([cv2.resize(part[t], size, interpolation=way) for t in times])
 
 
 def _seen_from_hand(image: Film, size: tuple[int, int], phase: float) -> Film:

@@ -11,20 +11,25 @@ _LEVELS = 7.0
 """Grey levels by which the pixels of one colour may vary, over its area and in time (as of bars, `camera.framing`)."""
 _OUTLIERS = 0.02
 """Largest share of a line's pixels that may vary by more."""
-_MEAN_LEVELS = 1.5
+_MEAN_LEVELS = 1.8
 """Largest mean deviation of a line of one colour [grey levels]: along the grain of wood 2.1 to 2.6, drawn bars after
-their coding below 1."""
-_BLUR_PX = 4
+their coding at most 1.7."""
+_BLUR_PX = 8
 """Width to which a codec blurs an edge [px]."""
 _LEAST_LINES = 2
 """Least width of a band [px]."""
+_EDGE_LEVELS = 15.0
+"""Least difference of a picture from the band beside it [grey levels]: along the grain of wood up to 12."""
 _EDGE_SHARE = 0.4
-"""Least share of the pixels beside the edge of a band that differ from its colour: panels 0.6 to 1, a line of text or
-the outline of a body before a flat background below 0.3 (`python -m benchmarks panels`)."""
+"""Least share of the pixels beside the edge of a band that differ so much from its colour: the outline of a body before
+a flat background has less."""
 _PAPER_LEVELS = 12.0
 """Grey levels by which the ground of text may vary."""
 _PAPER_SHARE = 0.6
 """Least share of it."""
+_INK_LEVELS = 60.0
+_INK_SHARE = 0.005
+"""Least contrast of ink with its ground, and least share of pixels that have it."""
 _CHANGE_LEVELS = 25.0
 """Difference of grey levels in time that is a change."""
 _CHANGED_SHARE = 0.05
@@ -47,9 +52,10 @@ def shows_text(luma: Luma, frame_height: int) -> bool:
         return False
     if not (lines[:_BLUR_PX].any() and lines[-_BLUR_PX:].any()):
         return False
-    paper = np.abs(luma - np.median(luma)) <= _PAPER_LEVELS
+    contrast = np.abs(luma - np.median(luma))
+    is_printed = (contrast <= _PAPER_LEVELS).mean() >= _PAPER_SHARE and (contrast > _INK_LEVELS).mean() >= _INK_SHARE
     changed = np.ptp(luma, axis=0) > _CHANGE_LEVELS
-    return bool(paper.mean() >= _PAPER_SHARE and changed.mean() <= _CHANGED_SHARE)
+    return bool(is_printed and changed.mean() <= _CHANGED_SHARE)
 
 
 def cut_bands(luma: Luma) -> list[int]:
@@ -81,6 +87,6 @@ def _first_edge(luma: Luma, places: list[int], colour: float, side: int) -> list
 
     The line beyond a place is the one before it (`side` -1), or the one after it (0).
     """
-    off = np.abs(luma[:, :, [place + side for place in places]] - colour) > _LEVELS
+    off = np.abs(luma[:, :, [place + side for place in places]] - colour) > _EDGE_LEVELS
     differs = off.mean(axis=(0, 1)) >= _EDGE_SHARE
     return [place for place, is_beyond in zip(places, differs, strict=True) if is_beyond][:1]

@@ -15,17 +15,21 @@ _JUMP_FACTOR = 2.0
 """Least ratio of that step to those before and after it."""
 _USUAL = ((1, 2), (1, 3), (2, 3), (1, 4), (3, 4))
 """Places of seams in usual layouts, as fractions of the side."""
-_USUAL_BOUNDS = (0.35, 5.0)
-"""Least share of a seam with a step, and least ratio of the squared step to those beside it, at a usual place. Of 162
-pairs of clips of different scenes all but two have more; lines in 108 single views that nothing crosses have at most
-0.3 and 14."""
-_OTHER_BOUNDS = (0.6, 15.0)
-"""The same at any other place."""
-_CONTINUOUS = 0.6
-"""Correlation of the outlines on both sides from which on they cross the line: at edges of tables and floors 0.72 to
-0.88, at seams at most 0.54."""
+_RATIO = 5.0
+"""Least ratio of the squared step across a seam at a usual place to the squared steps beside it."""
+_FAINT = 0.12
+_CLEAR = 0.35
+"""Least shares of a seam with a step at a usual place: where nothing seems to cross it, and else. Between views of one
+scene the share is as low as 0.14; single views have at most 0.3 at any line that little crosses."""
+_OTHER_CLEAR = 0.7
+_OTHER_RATIO = 25.0
+"""The same bounds at any other place."""
+_NOT_CROSSED = 0.35
+_CROSSED = 0.6
+"""Largest correlations of the outlines on both sides of a faint and of a clear seam: at edges of tables and floors 0.72
+to 0.88, at seams at most 0.54, except between clips of one scene."""
 _MOVING = 0.5
-"""The same of what moves: 0.6 to 0.94, and at most 0.39."""
+"""Largest correlation of what moves on both sides: 0.6 to 0.94 in single views, at most 0.47 at seams."""
 _LEAST_MOTION = 3.0
 """Least motion on both sides of a line that can be compared, as the deviation in time [grey levels]."""
 _STRONG_LEVELS = 60.0
@@ -38,6 +42,10 @@ _LEAST_DETAIL = 2.0
 """Least deviation of the detail of a picture that can be compared [grey levels]."""
 _TRIED = 3
 """Number of lines that are tried along an axis."""
+_ALIKE_LINES = 8
+_ALIKE_SHARE = 0.7
+"""Largest number of lines with steps in this share of what the seam has: in a picture that was enlarged without
+smoothing every other line has them."""
 _PARTS = 8
 _STEPPED_PARTS = 5
 _PART_SHARE = 0.1
@@ -45,6 +53,8 @@ _PART_SHARE = 0.1
 stretch, a seam along its whole length, but for where both pictures are dark or bright."""
 _BAR_PX = 16
 """Largest width of a bar between two pictures, whose second edge is a seam as well [px]."""
+_BAR_LEVELS = 8.0
+"""Largest mean deviation along such a bar, into which both pictures bleed [grey levels]."""
 
 
 def find_seam(luma: Luma) -> tuple[float, list[int]] | None:
@@ -64,10 +74,14 @@ def find_seam(luma: Luma) -> tuple[float, list[int]] | None:
     ratios = power[1:-1] / (0.5 * (power[:-2] + power[2:]) + 1.0)
 
     def is_seam(k: int) -> bool:
-        share, ratio = _USUAL_BOUNDS if _is_usual(k + 2, width) else _OTHER_BOUNDS
+        is_usual = _is_usual(k + 2, width)
+        is_clear = shares[k] >= (_CLEAR if is_usual else _OTHER_CLEAR)
+        if (shares >= max(_ALIKE_SHARE * shares[k], _FAINT)).sum() > _ALIKE_LINES:
+            return False
+        if not (is_clear or (is_usual and shares[k] >= _FAINT)) or ratios[k] < (_RATIO if is_usual else _OTHER_RATIO):
+            return False
         parts = [part.mean() >= _PART_SHARE for part in np.array_split(has_step[:, :, k], _PARTS, axis=1)]
-        is_long = shares[k] >= share and sum(parts) >= _STEPPED_PARTS
-        return bool(is_long and ratios[k] >= ratio and not _is_crossed(luma, k + 2))
+        return sum(parts) >= _STEPPED_PARTS and not _is_crossed(luma, k + 2, _CROSSED if is_clear else _NOT_CROSSED)
 
     columns = np.arange(2, width - 1)
     fits = (columns >= MIN_SIDE_PX) & (columns <= width - MIN_SIDE_PX)
@@ -75,8 +89,13 @@ def find_seam(luma: Luma) -> tuple[float, list[int]] | None:
     best = next((k for k in order[:_TRIED] if is_seam(k)), None)
     if best is None:
         return None
-    bar = [k for k in order if 1 < abs(k - best) <= _BAR_PX and shares[k] >= _OTHER_BOUNDS[0] and is_seam(k)]
+    near = [k for k in order if 1 < abs(k - best) <= _BAR_PX and shares[k] >= _CLEAR and ratios[k] >= _RATIO]
+    bar = [k for k in near if _is_bar(luma[:, :, min(k, best) + 2 : max(k, best) + 2])]
     return float(shares[best]), sorted(k + 2 for k in (best, *bar[:1]))
+
+
+def _is_bar(strip: Luma) -> bool:
+    return float(np.abs(strip - strip.mean(axis=(0, 1))).mean()) <= _BAR_LEVELS
 
 
 def find_repetition(luma: Luma) -> int | None:
@@ -104,12 +123,12 @@ def _is_usual(column: int, width: int) -> bool:
     return any(abs(column - width * n / d) <= 1.0 for n, d in _USUAL)
 
 
-def _is_crossed(luma: Luma, column: int) -> bool:
-    """Return whether outlines, or bodies that move, go on from one side of a line to the other."""
+def _is_crossed(luma: Luma, column: int, most: float) -> bool:
+    """Return whether outlines, by more than this correlation, or bodies that move go on across a line."""
     sides = luma[:, :, [column - 1, column]]
     outlines = np.minimum(np.abs(np.diff(sides, axis=1)), _STRONG_LEVELS)
     wide = np.maximum(np.maximum(outlines[:, :-2], outlines[:, 1:-1]), outlines[:, 2:])
-    if _correlation(wide[..., 0], wide[..., 1]) > _CONTINUOUS:
+    if _correlation(wide[..., 0], wide[..., 1]) > most:
         return True
     apart = luma[:, :, [column - 2, column + 1]]
     motion = np.abs(apart - np.median(apart, axis=0))

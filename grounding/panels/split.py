@@ -78,7 +78,9 @@ def _find_cuts(luma: Luma, frame_height: int) -> tuple[bool, list[int]]:
     for upright, image in axes:
         cuts = cut_bands(image)
         parts = [image[:, :, start:stop] for start, stop in _stretches(cuts, image.shape[2])]
-        if cuts and all(_is_whole(part, upright, frame_height) for part in parts):
+        if not all(_is_whole(part, upright, frame_height) for part in parts):
+            cuts = _cut_captions(luma, cuts, frame_height) if upright else []
+        if cuts:
             return upright, cuts
     seams = [(*seam, upright) for upright, image in axes if (seam := find_seam(image)) is not None]
     if seams:
@@ -96,3 +98,10 @@ def _is_whole(part: Luma, upright: bool, frame_height: int) -> bool:
     if part.shape[2] >= MIN_SIDE_PX or is_flat(part):
         return True
     return shows_text(np.swapaxes(part, 1, 2) if upright else part, frame_height)
+
+
+def _cut_captions(luma: Luma, rows: list[int], frame_height: int) -> list[int]:
+    """Return those of the rows that divide a region from the text above and below; none without text."""
+    above = [row for row in rows if shows_text(luma[:, :row], frame_height)]
+    below = [row for row in rows if shows_text(luma[:, row:], frame_height)]
+    return above[-1:] + below[:1]
