@@ -316,4 +316,38 @@ def planted_videos(
     write_index(out, videos)
 
 
-COMMANDS = (evaluate, budget, calibration, icp, footage, cameras, gate, flange, planted_videos)
+@click.group()
+def panels() -> None:
+    """Tiled clips in the layouts of published models, and the panels that are read of them."""
+
+
+@panels.command("make", epilog="\b\nExample:\n  python -m benchmarks panels make --out tiles --count 100")
+@click.option("--out", type=FOLDER, required=True, help="Folder; created if absent.")
+@click.option("--count", type=COUNT, default=100, show_default=True, help="Clips.", metavar="N")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+def make_panels(out: Path, count: int, seed: int) -> None:
+    """Tile the example videos in random layouts, sizes and orders, with bars, text and compression."""
+    from benchmarks.panels import make_clips
+
+    out.mkdir(parents=True, exist_ok=True)
+    make_clips(out, count, seed)
+
+
+@panels.command("check", epilog="\b\nExample:\n  python -m benchmarks panels check tiles")
+@click.argument("folder", type=EXISTING_FOLDER)
+def check_panels(folder: Path) -> None:
+    """Count the clips of FOLDER whose panels are exact to the pixel, and the panels of the right kind."""
+    from benchmarks.panels import check_clips
+
+    checks = []
+    for check in check_clips(folder):
+        checks.append(check)
+        if check.right < len(check.truth):
+            click.echo(f"{check.id}: {check.panels}, expected {check.truth}")
+    click.echo(f"all rectangles exact in {sum(c.is_exact for c in checks)} of {len(checks)} clips")
+    click.echo(
+        f"rectangle and kind right in {sum(c.right for c in checks)} of {sum(len(c.truth) for c in checks)} panels"
+    )
+
+
+COMMANDS = (evaluate, budget, calibration, icp, footage, cameras, gate, flange, planted_videos, panels)

@@ -1,10 +1,14 @@
 """Parts of the grounding, each loaded when it is first used."""
 
+from collections.abc import Sequence
 from functools import cached_property
 
 from kinebench_drake.grounding.camera.check import CameraChecker
 from kinebench_drake.grounding.camera.estimate import CameraEstimator
 from kinebench_drake.grounding.camera.recognition import Recognition, recognize
+from kinebench_drake.grounding.panels.content import list_panels
+from kinebench_drake.grounding.panels.panel import Panel
+from kinebench_drake.grounding.panels.split import Tile
 from kinebench_drake.grounding.pipeline import GRIPPERS, GroundingPipeline
 from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.io.frames import Frames
@@ -47,6 +51,10 @@ class GroundingComponents:
     def of(self, gripper: GripperKind) -> GripperComponents:
         """Return the components of a Panda with a gripper."""
         return self._of[gripper]
+
+    def panels(self, frames: Frames, tiles: Sequence[Tile]) -> tuple[Panel, ...]:
+        """Return the panels of frames (T, H, W, 3), with what each shows."""
+        return list_panels(frames, tiles, self.of(GripperKind.NONE).estimator)
 
     def recognize(self, frames: Frames) -> Recognition | None:
         """Return the camera of frames (T, H, W, 3) among those known by name; None if the arm confirms none."""

@@ -1,5 +1,6 @@
 """Grounding of a video, the one way in: choose its camera, track gripper or flange, confirm the camera by the arm."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from kinebench_drake.camera import Camera, CameraSource, benchmark_camera
@@ -9,8 +10,11 @@ from kinebench_drake.grounding.camera.choice import CameraChooser, PriorSource
 from kinebench_drake.grounding.camera.evidence import CameraChoice
 from kinebench_drake.grounding.camera.framing import FIRST_FRAME_ADVICE
 from kinebench_drake.grounding.components import GroundingComponents
+from kinebench_drake.grounding.panels.panel import Panel
+from kinebench_drake.grounding.panels.split import Tile
 from kinebench_drake.grounding.priors import NO_PRIORS, Clip, Priors
 from kinebench_drake.grounding.video_result import GroundingResult
+from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import GripperKind
 
 _LISTED_CUTS = 10
@@ -27,6 +31,14 @@ class Grounder:
         """
         self._parts = parts or GroundingComponents()
         self._table_height_m = table_height_m
+
+    def list_panels(self, frames: Frames, tiles: Sequence[Tile]) -> tuple[Panel, ...]:
+        """Return the panels of tiled frames (T, H, W, 3) in reading order, with what each shows (`panels.split`).
+
+        Raises:
+            SetupError: weights or libraries are missing.
+        """
+        return self._parts.panels(frames, tiles)
 
     def ground(
         self,

@@ -11,6 +11,7 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.camera.evidence import CameraChoice
 from kinebench_drake.grounding.camera.framing import Framing
+from kinebench_drake.grounding.panels.panel import PanelChoice
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.panda.description import RobotPart
@@ -34,6 +35,8 @@ class GroundingResult:
     """Height of the table top in the robot base frame [m]: that stated with the camera, else that of the options."""
     possible: tuple[GripperTrack, ...] = ()
     """Tracks with each camera that may be right, where it cannot be seen which one is; else none."""
+    panels: PanelChoice | None = None
+    """Panels of the frames of the video, and the one that was grounded; None for a single view."""
 
     @property
     def track(self) -> GripperTrack:

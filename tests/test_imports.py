@@ -25,6 +25,7 @@ LEAF = {
 } | {
     "plugin",
     "clip_timing",
+    "view_name",
 }
 IO = LEAF | {"io", "environment"}
 KINEMATICS = IO | {"models", "kinematics"}

@@ -119,7 +119,7 @@ def ground_video(
             that of the input, else as `score_videos` chooses it.
         first: state of the robot in the first frame, in place of the input's (`X_BG`: TCP in the robot base frame [m]).
         **options: fields of `ScoreConfig` that concern one video, which are options of the command: `frame_period_s`
-            [s], `camera_key`, `gripper`, `mirrored`, `pixels_only`, `masks`, `depth`, `depth_exact`, `poses`.
+            [s], `camera_key`, `view`, `gripper`, `mirrored`, `pixels_only`, `masks`, `depth`, `depth_exact`, `poses`.
 
     Returns:
         `track`: (T,) times [s], poses (T, 4, 4) of panda_hand in the camera frame and of panda_hand_tcp in the base
@@ -161,7 +161,7 @@ def ground_video(
         grounder = _tools_for(RobotOptions()).grounder
         timed, result = ground_sample(
             decoded, sample, overrides, grounder, config.frame_period_s, config.gripper,
-            duration_s=config.task_duration_s,
+            duration_s=config.task_duration_s, view=config.view,
         )  # fmt: skip
     if result.unmeasurable is not None:
         raise UnmeasurableError(result.unmeasurable)

@@ -43,7 +43,7 @@ _GROUPS = {
         *("frame_period_s", "task_duration_s", "rate_hz", "reading", "camera_key"),
         *("task", "model", "model_from", "tags", "pixels_only", "masks", "depth", "depth_exact", "poses"),
     ),
-    "Camera": ("camera", "mirrored", "table_height_m"),
+    "Camera": ("view", "camera", "mirrored", "table_height_m"),
     "Robot": ("robot", "gripper", "tool", "limits", "payload_kg", "obstacles", "package_path"),
     "Output": ("overlay", "replays", "format", "write_kept", "sarif"),
     "Running": ("jobs", "overwrite", "limit", "shard", "engine", "address", "seed"),
@@ -74,6 +74,7 @@ _dry_run_option = click.option(
         "  kinebench-drake score videos/manifest.jsonl --out results/ --jobs 4 --tag run=7\n"
         "  kinebench-drake score episode.mp4 --out results/ --frame-period 0.2 --overlay\n"
         "  kinebench-drake score videos/ --dry-run\n"
+        "  kinebench-drake score pairs/ --out results/ --view bottom-left   # a generated row below a real one\n"
         "  kinebench-drake score models/ --out results/ --model-from folder   # models/wan/a.mp4, ...\n"
         "  kinebench-drake score lerobot-dataset/ --out results/ --camera-key observation.images.front\n"
         "  kinebench-drake score heldout/manifest.jsonl --out results/ --masks heldout --depth heldout"
@@ -234,7 +235,11 @@ def _score(config: ScoreConfig, *, dry_run: bool) -> int:
         elif row.status is Status.OK and not sample.camera_source.is_named:
             picture = [f"no {row.id}.png: minutes if resized or cropped"]
         size = f"{row.frames} frames of {row.width} x {row.height} px" if row.status is Status.OK else str(row.reason)
-        labels = [f"{key} {value}" for key, value in (("task", row.task), ("model", row.model)) if value is not None]
+        labels = [
+            f"{key} {value}"
+            for key, value in (("task", row.task), ("model", row.model), ("view", row.view))
+            if value is not None
+        ]
         echo("; ".join([f"{row.id}: {size}", *input_lines([row]), *picture, *labels]))
     readable = [row for row in rows if row.status is Status.OK]
     echo(f"{len(readable)} of {len(rows)} samples can be read; nothing was measured or written")

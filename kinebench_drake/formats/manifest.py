@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from kinebench_drake.camera import CameraSetting, CameraSource
 from kinebench_drake.errors import InputError, UsageError, cause
@@ -21,6 +21,7 @@ from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import as_type, parse_json
 from kinebench_drake.named_cameras import find_camera
 from kinebench_drake.track import MAX_WIDTH_M, InitialState
+from kinebench_drake.view_name import check_view
 
 NAME = "manifest.jsonl"
 
@@ -39,7 +40,11 @@ def _rigid(rows: list[list[float]]) -> list[list[float]]:
     return rows
 
 
-_LABELS = {"task", "model", "seed", "prompt", "fps", "frame_period_s"}
+def _view_text(value: object) -> object:
+    return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
+_LABELS = {"task", "model", "seed", "prompt", "fps", "frame_period_s", "view"}
 """Keys that a sample takes over unchanged."""
 
 _NOUNS = {
@@ -50,6 +55,7 @@ _NOUNS = {
     "frame_period_s": "frame periods",
     "fps": "frame rates",
     "camera": "cameras",
+    "view": "views",
     "first_base_from_tcp": "initial states",
 }
 """Keys that change results, and what they state, in the plural."""
@@ -86,6 +92,8 @@ class ManifestEntry(BaseModel):
     """Gap between the finger pads in the first frame [m]; ignored without the pose."""
     first_frame: Annotated[str, Field(min_length=1)] | None = None
     """Relative path of the conditioning image of the video model."""
+    view: Annotated[str, BeforeValidator(_view_text), AfterValidator(check_view)] | None = None
+    """Panel of tiled frames: its number in reading order, its place, or `auto`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -249,9 +249,13 @@ class SampleRow:
     """Frames beyond the table of a dataset, which are not used."""
 
     width: int | None = None
-    """Width of the video [px]."""
+    """Width of the video, or of the panel that was read [px]."""
     height: int | None = None
-    """Height of the video [px]."""
+    """Height of the video, or of the panel that was read [px]."""
+    view: str | None = None
+    """Panel of tiled frames that was read: its place or number."""
+    panels: tuple[Mapping[str, Json], ...] | None = None
+    """Panels of tiled frames: number, place, kind, rectangle [px]."""
     fps: float | None = None
     """Frames per second by the file [1/s]."""
     framing: Mapping[str, Json] | None = None

@@ -20,6 +20,7 @@ from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import VERDICT_SHARES
 from kinebench_drake.runs.option import Option, options_json, parse_options
 from kinebench_drake.runs.resources import Resources, ResourcesFactory, RobotOptions
+from kinebench_drake.view_name import AUTO_VIEW, check_view
 from kinebench_drake.violation import ViolationKind
 
 AUTO = "auto"
@@ -281,6 +282,15 @@ class ScoreConfig(SourceConfig):
     mirrored: Annotated[bool, Option("The pictures show the scene mirrored: turn them left-right first (LIBERO).")] = (
         False
     )
+    view: Annotated[
+        str,
+        Option(
+            "Panel of frames that are tiles of several views, where the manifest names none: auto takes the one that "
+            "shows most of a robot from outside, N counts in reading order, a NAME is its place, such as left or "
+            "top-middle. Of a real view beside a generated one only the name says which is which.",
+            metavar="auto|N|NAME",
+        ),
+    ] = AUTO_VIEW
     gripper: Annotated[
         GripperKind,
         Option(
@@ -328,6 +338,10 @@ class ScoreConfig(SourceConfig):
             raise UsageError(
                 f"$format {self.format.value} goes with `ground`: `score` writes the joint angles it judged"
             )
+        try:
+            check_view(self.view)
+        except ValueError as error:
+            raise UsageError(f"$view is {self.view!r}, {error}") from None
         check_period(self.frame_period_s)
         self.overrides()
         duration_s = self.task_duration_s

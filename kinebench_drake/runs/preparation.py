@@ -17,6 +17,7 @@ from kinebench_drake.formats.camerafile import read_camera
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.overrides import Overrides
+from kinebench_drake.grounding.panels.panel import PanelChoice, choose_panel
 from kinebench_drake.grounding.priors import Clip, InitialStateUse, Priors
 from kinebench_drake.io.images import read_image
 from kinebench_drake.io.reader import read_video
@@ -29,6 +30,7 @@ from kinebench_drake.runs.benchmark_registry import load_benchmark
 from kinebench_drake.runs.config import AUTO
 from kinebench_drake.runs.frame_period import TimedFrames, time_frames
 from kinebench_drake.track import Domain, GripperTrack, InitialState
+from kinebench_drake.view_name import AUTO_VIEW
 
 if TYPE_CHECKING:  # loads torch and Open3D
     from kinebench_drake.grounding.video import Grounder
@@ -47,6 +49,7 @@ def ground_sample(
     gripper: GripperKind = GripperKind.AUTO,
     *,
     duration_s: float | None = None,
+    view: str = AUTO_VIEW,
 ) -> "tuple[TimedFrames, GroundingResult]":
     """Ground a video with the camera, the times and the priors that its sample and the options state.
 
@@ -55,10 +58,13 @@ def ground_sample(
         overrides: stages of the grounding that are replaced; poses leave a camera unchecked.
         period_s: task time between two frames from the command line [s].
         duration_s: task time over which its frames lie evenly [s]; None: they are one period apart.
+        view: panel of tiled frames, where the sample names none.
     """
     video.require_measurable()
     timed = time_frames(sample, video, period_s, duration_s)
-    video, image = filmed_pictures(sample, video)
+    panels = choose_view(video, sample.view or view, grounder)
+    video, image = filmed_pictures(sample, video, panels)
+    video.require_measurable()
 
     def priors(camera: Camera) -> Priors:
         """Read the overrides, which are of all frames of the video."""
@@ -76,7 +82,25 @@ def ground_sample(
         gripper=gripper,
         trusts_camera=overrides.poses is not None,
     )
-    return timed, result
+    return timed, result if panels is None else replace(result, panels=panels)
+
+
+def choose_view(video: Video, view: str, grounder: "Grounder") -> PanelChoice | None:
+    """Return the panels of the frames of a video and the one that `view` names; None for a single view.
+
+    Raises:
+        InputError: no panel has this name.
+        UnmeasurableError: no panel shows a robot from outside.
+    """
+    from kinebench_drake.grounding.panels.split import split_frames  # loads OpenCV
+
+    tiles = split_frames(video.frames)
+    if len(tiles) > 1:
+        panels = grounder.list_panels(video.frames, tiles)
+        return PanelChoice(panels=panels, panel=choose_panel(panels, view))
+    if view not in (AUTO_VIEW, "1"):
+        raise InputError(f"$view {view}: no seam divides the frames, they show a single view: expected 1 or auto")
+    return None
 
 
 def with_initial_states(samples: Iterable[VideoSample]) -> list[VideoSample]:
@@ -120,15 +144,24 @@ def read_sample(sample: VideoSample) -> Video:
     return read_video(sample.path, sample.part)
 
 
-def filmed_pictures(sample: VideoSample, video: Video) -> tuple[Video, NDArray[np.uint8] | None]:
+def filmed_pictures(
+    sample: VideoSample, video: Video, panels: PanelChoice | None = None
+) -> tuple[Video, NDArray[np.uint8] | None]:
     """Return a decoded video and the image that it was generated from as the camera sees the scene, not mirrored.
 
-    The image is None where there is none that can be read: one with the name of the video need not be its own.
+    Of tiled frames it is the panel that was chosen; so it is of an image of the size of these frames, another one is
+    that of the panel. The image is None where there is none that can be read: one with the name of the video need not
+    be its own.
     """
     image = None
     if sample.first_frame is not None:
         with suppress(InputError):
             image = read_image(sample.first_frame)
+    if panels is not None:
+        part = panels.panel.rectangle
+        if image is not None and image.shape[:2] == (video.height, video.width):
+            image = np.asarray(part.crop(image[None])[0])
+        video = replace(video, frames=part.crop(video.frames))
     if not sample.mirrored:
         return video, image
     return video.mirrored(), None if image is None else np.ascontiguousarray(image[:, ::-1])
@@ -192,9 +225,14 @@ def row_warnings(rows: Sequence[SampleRow]) -> list[str]:
             "with the reason",
         ),
         (
+            sum(row.panels is not None for row in rows),
+            "the frames are tiles of several views in {}: one of them was read, see view and panels in the rows; "
+            "$view names another",
+        ),
+        (
             sum((row.width or 0) >= _SEVERAL_VIEWS * (row.height or inf) for row in rows),
-            "{} at least twice as wide as high: where a frame shows several views side by side, cut out the one that "
-            "shows the arm (docs/faq.md)",
+            "{} at least twice as wide as high, in which no seam between views is visible: where a frame shows several "
+            "views side by side, cut out the one that shows the arm (docs/faq.md)",
         ),
         (
             count("frame_period_source", PeriodSource.BENCHMARK),

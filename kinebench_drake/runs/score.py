@@ -33,6 +33,7 @@ from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.pictures import encode_strip, worst_frame
 from kinebench_drake.runs.preparation import (
     camera_frame_metrics,
+    choose_view,
     filmed_pictures,
     ground_sample,
     override_names,
@@ -167,8 +168,9 @@ def _measured_row(
         frames=len(track.t_s),
         idle_ends=idle_ends(track),
         fingerprint=fingerprint(track.X_CH),
-        width=video.width,
-        height=video.height,
+        width=grounding.framing.width,
+        height=grounding.framing.height,
+        **({} if grounding.panels is None else grounding.panels.to_json()),
         framing=grounding.framing.to_json(),
         fps=video.fps,
         frame_period_s=timed.period_s,
@@ -217,7 +219,7 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         config = self.config
         timed, grounding = ground_sample(
             video, sample, self.overrides, tools.grounder, config.frame_period_s, config.gripper,
-            duration_s=config.task_duration_s,
+            duration_s=config.task_duration_s, view=config.view,
         )  # fmt: skip
         track = grounding.visible_track
         row = _measured_row(row, sample, video, timed, grounding)
@@ -290,6 +292,7 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
             "scene": [sample.mirrored, sample.table_height_m],
             "reference": None if sample.reference_X_BG is None else sample.reference_X_BG.ravel().tolist(),
             "labels": [sample.success, sample.seed, sample.prompt, sample.fps, sample.frame_period_s, sample.problem],
+            "view": sample.view or self.config.view,
             "part": [*dataclasses.astuple(sample.part), sample.camera_key, sample.dataset_period_s],
         }
 
@@ -325,16 +328,18 @@ class _VideoReader(VideoEvaluator):
         """Read the video, check size and shape, determine its times."""
         video = read_sample(sample)
         video.require_measurable()
+        panels = choose_view(video, sample.view or self.config.view, tools.grounder)
+        pictures, image = filmed_pictures(sample, video, panels)
         if sample.camera_source.is_named:
             from kinebench_drake.grounding.camera.framing import find_framing  # loads OpenCV
 
-            pictures, image = filmed_pictures(sample, video)
             find_framing(pictures.frames, sample.camera, image, sample.camera_source)
         timed = time_frames(sample, video, self.config.frame_period_s, self.config.task_duration_s)
         return row.extended(
             frames=len(timed.t_s),
-            width=video.width,
-            height=video.height,
+            width=pictures.width,
+            height=pictures.height,
+            **({} if panels is None else panels.to_json()),
             frame_period_s=timed.period_s,
             frame_period_source=timed.source.value,
             **({} if sample.camera_source.is_named else {"camera_source": AUTO}),

@@ -14,6 +14,7 @@ from kinebench_drake.camera import Camera, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding.camera.framing import Framing, find_framing
+from kinebench_drake.grounding.panels.content import list_panels
 from kinebench_drake.grounding.priors import NO_PRIORS, InitialStateUse, Priors
 from kinebench_drake.metrics.kinematic_result import KinematicResult
 from kinebench_drake.models.panda.description import GripperKind
@@ -64,6 +65,7 @@ class FakeResult:
     hand_size: None = None
     gripper_model: None = None
     lost_frames: tuple[object, ...] = ()
+    panels: object = None
     possible: tuple[GripperTrack, ...] = ()
 
     @property
@@ -83,8 +85,19 @@ class FakeResult:
         return None if self.track.tracked.sum() > 1 else "a gripper is seen, but trusted in 0"
 
 
+class FakeEstimator:
+    """Estimates by which bright pixels are the arm."""
+
+    def estimate(self, frames, camera, crops):
+        for k in crops:
+            yield k, SimpleNamespace(arm=frames[k].mean(axis=2) > 128, in_image=np.ones(frames.shape[1:3], bool))
+
+
 class FakeGrounder:
     """Grounding that makes its track up; an unnamed camera is the benchmark's where the shape fits."""
+
+    def list_panels(self, frames, tiles):
+        return list_panels(frames, tiles, FakeEstimator())
 
     def ground(
         self,

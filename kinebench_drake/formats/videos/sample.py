@@ -41,6 +41,8 @@ class VideoSample(Sample):
     """State of the robot in the first frame by the manifest; None if unknown."""
     first_frame: Path | None = None
     """Conditioning image of the video model; None if there is none."""
+    view: str | None = None
+    """Panel of tiled frames by the manifest; None for that of the command line."""
     reference_X_BG: Array | None = field(default=None, compare=False, repr=False)
     """(T, 4, 4) TCP in the robot base frame by another extractor, NaN where it has none [m]; None: there is none."""
 
