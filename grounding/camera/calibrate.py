@@ -27,6 +27,7 @@ from kinebench_drake.grounding.camera.detections import (
 )
 from kinebench_drake.grounding.camera.estimate import FRAMES, CameraEstimator
 from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, Lens, centred_camera, focal_px, solve_pnp, with_focal
+from kinebench_drake.grounding.camera.links import LinkCalibrator, LinkEvidence, pixel_shapes
 from kinebench_drake.grounding.camera.states import (
     RobotStates,
     make_posture_states,
@@ -39,9 +40,10 @@ from kinebench_drake.grounding.tracking.estimator import NetworkEstimator
 from kinebench_drake.grounding.tracking.tracker import CadTracker
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.jsonl import Json
+from kinebench_drake.io.progress import tell
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
-from kinebench_drake.models.panda.description import ARM, GRIPPER, RobotPart
+from kinebench_drake.models.panda.description import ARM, GRIPPER, GripperKind, RobotPart
 from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import evenly, finite_rows
@@ -87,6 +89,10 @@ _OTHER_ZOOM = 0.05
 """Logarithm of the ratio of focal lengths from which on they are."""
 
 
+class CameraMotionError(UnmeasurableError):
+    """The camera of a video moves."""
+
+
 class CalibrationMethod(Enum):
     """Source of the robot's postures."""
 
@@ -123,6 +129,8 @@ class CameraCalibration(FittedCamera):
     """Depths of the nearest and farthest visible parts of the robot, 5th and 95th percentile [m]."""
     agreement: float | None = None
     """Share of the contours of hand and arm on image edges; None if the camera was fitted to cells alone."""
+    links: LinkEvidence | None = None
+    """What was estimated besides, if the camera was fitted to the links alone; None if to the hand, too."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
     image: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0, 3), np.uint8))
@@ -144,6 +152,13 @@ class CameraCalibration(FittedCamera):
         """Greatest distance between hand positions in the frames [m]."""
         hands_B = self.X_BP[:, RobotPart.HAND, :3, 3]
         return float(np.nanmax(np.linalg.norm(hands_B[:, None] - hands_B[None], axis=-1), initial=0.0))
+
+    def drawn_parts(self, row: int) -> Array:
+        """Return the frames (PARTS, 4, 4) in B [m] of the parts that were fitted in a frame used; NaN for others."""
+        X_BP = self.X_BP[row].copy()
+        if self.links is not None:
+            X_BP[list(GRIPPER)] = np.nan
+        return X_BP
 
     @property
     def fitted_to(self) -> str:
@@ -171,6 +186,7 @@ class CameraCalibration(FittedCamera):
             "agreement": self.agreement,
             "depth_m": list(self.depth_m),
             "hand_motion_m": self.motion_m,
+            "links_alone": None if self.links is None else self.links.to_json(),
             "warnings": list(self.warnings),
         }
 
@@ -191,7 +207,9 @@ def format_lines(c: CameraCalibration) -> list[str]:
         + ", ".join(f"{name} {px:.1f}" for name, px in c.part_px.items() if np.isfinite(px)),
     ]
     if c.agreement is not None:
-        report.append(f"contours of hand and arm on image edges: {c.agreement:.0%}")
+        report.append(f"contours of {'hand and arm' if c.links is None else 'links'} on image edges: {c.agreement:.0%}")
+    if c.links is not None:
+        report += c.links.format_lines()
     report.append(
         f"depth of the robot: {c.depth_m[0]:.2f} to {c.depth_m[1]:.2f} m; the hand moves {1e3 * c.motion_m:.0f} mm"
     )
@@ -208,6 +226,8 @@ def require_determined(calibration: CameraCalibration) -> None:
     unit = calibration.camera.unit_px
     misfit = calibration.part_px["gripper"]
     agreement = calibration.agreement
+    if calibration.links is not None:
+        calibration.links.require_agreement(calibration.basis.source, agreement or 0.0)
     if agreement is not None and agreement < bounds.AGREEMENT:
         raise UnmeasurableError(
             f"{calibration.basis.source}: with no camera does the robot lie on the edges of the images "
@@ -461,6 +481,8 @@ class CalibrationConfig:
     """Focal length of the video [px]; None to estimate it."""
     frames: int = _DEFAULT_FRAMES
     """Greatest number of frames used."""
+    gripper: GripperKind = GripperKind.AUTO
+    """Gripper of the robot; the camera is fitted to the links alone unless it is the Franka hand."""
 
     def __post_init__(self) -> None:
         """Check the options without reading files.
@@ -480,11 +502,21 @@ class CalibrationConfig:
 class Calibrator:
     """Calibration of cameras from decoded videos; one instance serves any number of them."""
 
-    def __init__(self, detected: RobotSource, tracked: RobotSource, cameras: CameraEstimator) -> None:
-        """Set the sources of detections: `tracked` ones have postures where only one posture is known."""
+    def __init__(
+        self,
+        detected: RobotSource,
+        tracked: RobotSource,
+        cameras: CameraEstimator,
+        links: Callable[[GripperKind], LinkCalibrator] = LinkCalibrator.load,
+    ) -> None:
+        """Set the sources of detections: `tracked` ones have postures where only one posture is known.
+
+        `links` loads the calibrator for arms with another gripper.
+        """
         self._detected = detected
         self._tracked = tracked
         self._cameras = cameras
+        self._links = links
         self._model = ArmModel()
 
     @staticmethod
@@ -506,6 +538,7 @@ class Calibrator:
         focal_free: bool,
         centre_free: bool = False,
         most: int = _DEFAULT_FRAMES,
+        gripper: GripperKind = GripperKind.AUTO,
     ) -> CameraCalibration:
         """Calibrate the camera of frames (T, H, W, 3).
 
@@ -514,12 +547,39 @@ class Calibrator:
             states: robot states in these frames; None to estimate the camera without any.
             guess: initial camera.
             focal_free: True to estimate the focal length.
-            centre_free: True if the principal point is not known exactly.
+            centre_free: True if principal point and shape of the pixels are not known exactly.
             most: greatest number of frames used.
+            gripper: gripper of the robot; at AUTO the links alone are tried where the Franka hand gives no camera.
 
         Raises:
+            UsageError: the gripper needs joint angles of the frames.
             UnmeasurableError: the camera moves, or the video does not determine it.
         """
+        with_hand = partial(self._fit_robot, frames, states, guess, focal_free, centre_free, most)
+        if gripper is GripperKind.FRANKA or (gripper is GripperKind.AUTO and not _has_joints(states)):
+            return with_hand()
+        if states is None or not _has_joints(states):
+            raise UsageError(f"$gripper {gripper.value} needs the joint angles of all frames: give $joints FILE")
+        if gripper is GripperKind.AUTO:
+            try:
+                return with_hand()
+            except CameraMotionError:
+                raise
+            except UnmeasurableError:
+                tell("no camera agrees with the Franka hand: trying the links alone")
+            gripper = GripperKind.ROBOTIQ_2F85
+        return self._fit_links(frames, states, guess, focal_free, centre_free, most, gripper)
+
+    def _fit_robot(
+        self,
+        frames: Frames,
+        states: RobotStates | None,
+        guess: Camera,
+        focal_free: bool,
+        centre_free: bool,
+        most: int,
+    ) -> CameraCalibration:
+        """Calibrate by links and Franka hand; arguments and errors as of `calibrate`."""
         chosen = evenly(len(frames), min(most, FRAMES)) if states is None else _chosen(states, most)
         method = choose_method(states)
         source = self._tracked if method is CalibrationMethod.POSTURE else self._detected
@@ -564,6 +624,38 @@ class Calibrator:
         image = frames[calibration.frames[len(calibration.frames) // 2]]
         return replace(calibration, warnings=(*shift, *warnings_of(calibration)), image=image)
 
+    def _fit_links(
+        self,
+        frames: Frames,
+        states: RobotStates,
+        guess: Camera,
+        focal_free: bool,
+        centre_free: bool,
+        most: int,
+        gripper: GripperKind,
+    ) -> CameraCalibration:
+        """Calibrate by the links alone; arguments and errors as of `calibrate`."""
+        links = self._links(gripper)
+        robot = links.detect(frames, states, guess, most)
+        images = frames[robot.rows]
+        shift = _camera_shift(images, robot.robot, guess)
+        estimate, evidence = links.solve(
+            robot,
+            images,
+            states,
+            guess,
+            focal_free=focal_free,
+            shapes=pixel_shapes(guess.width, guess.height) if centre_free else (guess.fy / guess.fx,),
+            centre_sigma_px=_CENTRE_SIGMA * guess.width if centre_free else 0.0,
+        )
+        basis = CalibrationBasis(method=CalibrationMethod.JOINTS, source=states.source, focal_free=focal_free)
+        calibration = replace(
+            describe_estimate(estimate, self._model, basis), frames=robot.rows[estimate.frames], links=evidence
+        )
+        require_determined(calibration)
+        image = images[estimate.frames[len(estimate.frames) // 2]]
+        return replace(calibration, warnings=(*shift, *warnings_of(calibration)), image=image)
+
 
 def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -> CameraCalibration:
     """Calibrate the camera of a video.
@@ -591,6 +683,7 @@ def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -
         focal_free=config.camera is None and config.focal_px is None,
         centre_free=config.camera is None,
         most=config.frames,
+        gripper=config.gripper,
     )
 
 
@@ -672,7 +765,7 @@ def _camera_shift(frames: Frames, robot: NDArray[np.bool_], camera: Camera) -> t
     """Return warnings about camera motion.
 
     Raises:
-        UnmeasurableError: the camera moves.
+        CameraMotionError: the camera moves.
     """
     if len(frames) < 2:
         return ()
@@ -681,7 +774,7 @@ def _camera_shift(frames: Frames, robot: NDArray[np.bool_], camera: Camera) -> t
     if moved_px is None:
         return ("it is unknown whether the camera is static: the background has too few features",)
     if moved_px > bounds.COMPENSABLE_PX * unit:
-        raise UnmeasurableError(
+        raise CameraMotionError(
             f"the camera moves: the background shifts by {moved_px:.0f} px, at most {bounds.COMPENSABLE_PX * unit:.0f}"
             "; calibrate with a part of the video in which it stands still"
         )
@@ -694,6 +787,10 @@ def _is_other(camera: Camera, guess: Camera) -> bool:
     """Return whether a camera differs much from another one."""
     distance, angle = pose_difference(camera.X_BC, guess.X_BC)
     return bool(distance > _OTHER_M or angle > _OTHER_RAD or abs(np.log(camera.fx / guess.fx)) > _OTHER_ZOOM)
+
+
+def _has_joints(states: RobotStates | None) -> bool:
+    return choose_method(states) is CalibrationMethod.JOINTS
 
 
 def choose_method(states: RobotStates | None) -> CalibrationMethod:

@@ -28,6 +28,7 @@ from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import (
     INDEPENDENT,
     LEAST_GRADIENT,
+    MAX_POINTS,
     RIGID,
     ROBOT,
     SIGMA_PX,
@@ -98,6 +99,8 @@ class ContourImages:
     matcher: EdgeMatcher
     left_out: tuple[RobotPart, ...] = ()
     """Parts without contours, which still hide others."""
+    points: int = MAX_POINTS
+    """Greatest number of contour points in an image."""
 
     def take(self, rows: Sequence[int] | NDArray[np.intp]) -> "ContourImages":
         """Select frames."""
@@ -115,7 +118,7 @@ class ContourImages:
         X_CP = self.model.gripper.open(scene.lens.X_CB @ self.model.poses(scene.q), scene.finger_m)
         for image, own in zip(self.images, X_CP, strict=True):
             camera = scene.lens.intrinsics.resized(image.camera.width, image.camera.height)
-            yield image, self.matcher.project(own, camera, used)
+            yield image, self.matcher.project(own, camera, used, self.points)
 
     def observe(self, scene: ArmScene, reach_px: float) -> Observations | None:
         """Return the visible contour points of a scene with the image edges nearby; None if there are too few.

@@ -18,6 +18,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.camera.lens import Lens
+from kinebench_drake.grounding.registration.arm_model import MIN_CELLS
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit
 from kinebench_drake.grounding.registration.solver import NEAREST_M, Rows
 from kinebench_drake.grounding.tracking.localization import PART_CELLS, find_region, likeliest_gripper
@@ -278,6 +279,44 @@ def detect_all(estimator: DenseEstimator, frames: Frames, camera: Camera) -> Arm
             f"no gripper is seen in the {len(frames)} frames used: is it a Panda with the Franka hand?"
         )
     return robot
+
+
+def find_links(
+    estimator: DenseEstimator, frames: Frames, rows: NDArray[np.intp], camera: Camera, most: int
+) -> ArmDetections:
+    """Return the cells of links in the frames that show most of them, whatever gripper the arm carries.
+
+    Args:
+        estimator: source of dense estimates.
+        frames: (T, H, W, 3) RGB.
+        rows: numbers of the frames searched.
+        camera: assumed camera; only its intrinsics matter, and little.
+        most: greatest number of frames.
+
+    Raises:
+        UnmeasurableError: too few frames show links.
+    """
+    searched = rows[evenly(len(rows), _TRIED * most)]
+    views = [
+        pair
+        for crop in Crop.tiles(camera)
+        for pair in estimator.estimate(frames, camera, dict.fromkeys(searched.tolist(), crop))
+    ]
+    cells = find_correspondences(views, camera)
+    cells = cells.take(np.isin(cells.part, ARM))
+    count = np.bincount(cells.frame, minlength=len(frames))
+    chosen = _best_seen({row: float(count[row]) for row in np.flatnonzero(count >= MIN_CELLS)}, len(frames), most)
+    if len(chosen) < MIN_FRAMES:
+        raise UnmeasurableError(
+            f"links of the arm are seen in {len(chosen)} of {len(searched)} frames, at least {MIN_FRAMES} are needed"
+        )
+    own = [view.to_frame(view.part > RobotPart.BACKGROUND, camera) for row, view in views if row == chosen[0]]
+    return ArmDetections(
+        rows=np.array(chosen, dtype=np.intp),
+        cells=cells.of_frames(np.array(chosen, dtype=np.intp)),
+        finger_m=np.zeros(len(chosen)),
+        robot=np.any(own, axis=0),
+    )
 
 
 def track_all(tracker: PoseTracker, frames: Frames, camera: Camera) -> ArmDetections:

@@ -111,18 +111,25 @@ class Lens:
         return along and zoom <= factor * _SAME_ZOOM and far <= factor * _SAME_SHARE
 
 
-def solve_pnp(p: Array, uv_px: Array, camera: Camera) -> tuple[Array, int] | None:
+def solve_pnp(p: Array, uv_px: Array, camera: Camera, samples: int = 100) -> tuple[Array, int] | None:
     """Return the pose (4, 4) of points (N, 3) in the camera frame [m] and the number of inliers; None if there is none.
 
     Args:
         p: (N, 3) points [m].
         uv_px: (N, 2) their pixels.
         camera: intrinsics.
+        samples: greatest number of samples of points of which the best consensus is taken.
     """
     error_px = _CONSENSUS_PX * camera.unit_px
     try:
         ok, rotation, translation, inliers = cv2.solvePnPRansac(
-            p, uv_px, camera.K, None, flags=cv2.SOLVEPNP_SQPNP, reprojectionError=error_px
+            p,
+            uv_px,
+            camera.K,
+            None,
+            flags=cv2.SOLVEPNP_SQPNP,
+            reprojectionError=error_px,
+            iterationsCount=samples,
         )
     except cv2.error:  # raised where the best sample has too few inliers
         return None

@@ -99,6 +99,20 @@ class Crop:
         direction = np.array([(half[0] - camera.cx) / camera.fx, (half[1] - camera.cy) / camera.fy, 1.0])
         return cls.towards(direction, float(max(half / [camera.fx, camera.fy])), WIDE_SIZE)
 
+    @classmethod
+    def tiles(cls, camera: Camera) -> "list[Crop]":
+        """Return square crops as wide as the shorter side, along the longer one, that overlap by half or more."""
+        size = np.array([camera.width, camera.height])
+        side = int(size.min())
+        count = int(np.ceil(2 * size.max() / side)) - 1
+        crops = []
+        for share in np.linspace(0.0, 1.0, count) if count > 1 else [0.5]:
+            u, v = side / 2 + share * (size - side)
+            direction = np.array([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0])
+            half = side / 2 / min(camera.fx, camera.fy) / np.linalg.norm(direction)
+            crops.append(cls.towards(direction, float(half), WIDE_SIZE))
+        return crops
+
     def homography(self, camera: Camera, stride: int = 1) -> Array:
         """Return the (3, 3) homography from cells of the crop to pixels of `camera`, centres at half-integers."""
         f = self.focal / stride

@@ -13,6 +13,7 @@ from kinebench_drake.cli.click_options import PathParameter, check_suffix
         "\b\nExamples:\n"
         "  kinebench-drake calibrate robot.mp4 --joints joints.csv --out camera.json --figure check.png\n"
         "  kinebench-drake calibrate robot.mp4 --joints dataset/ --episode 3 --out camera.json\n"
+        "  kinebench-drake calibrate robot.mp4 --joints joints.npz --gripper robotiq-2f85 --out camera.json\n"
         "  kinebench-drake calibrate robot.mp4 --joints home --focal 610 --out camera.json\n"
         "  kinebench-drake calibrate robot.mp4 --out camera.json"
     )
@@ -53,6 +54,11 @@ from kinebench_drake.cli.click_options import PathParameter, check_suffix
     help="Frames used at most; not more than 12 without --joints of all frames.",
 )  # fmt: skip
 @click.option(
+    "--gripper", type=click.Choice(["auto", "franka", "robotiq-2f85", "none"]), default="auto", show_default=True,
+    help="Gripper of the robot. With another one than Franka's, or none, the links alone are used: this needs joint "
+    "angles of the frames. auto does so where the Franka hand gives no camera.",
+)  # fmt: skip
+@click.option(
     "--figure", type=PathParameter(dir_okay=False),
     help="Image of the CAD robot drawn over a frame with the calibrated camera (png).",
 )  # fmt: skip
@@ -64,6 +70,9 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
     Files of joint angles are those of `audit` (docs/calibration.md): npz with q, csv with q1_rad..q7_rad, ManiSkill h5,
     a LeRobot dataset; one row per frame, or times t_s. Poses of the TCP in the base frame may replace joint angles.
 
+    The links alone also give the lag of the joint angles against the frames (up to 3 frames, either way) and, where the
+    shape of the picture is unusual, the shape of its pixels (fy / fx).
+
     Without joint angles the camera is estimated from the arm and its base, as by `score --camera auto`. If the video
     does not determine the camera, the command fails with the reason.
     """
@@ -72,19 +81,21 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
     from kinebench_drake.grounding.camera.calibrate import calibrate as run_calibration
     from kinebench_drake.io.files import absence
     from kinebench_drake.io.jsonl import dump
+    from kinebench_drake.models.panda.description import GripperKind
 
     if not options["video"].exists():
         raise click.UsageError(f"{options['video']}: {absence(options['video'])}")
     check_suffix("--out", out, ".json")
     check_suffix("--figure", figure, ".png")
-    calibration = run_calibration(CalibrationConfig(**options))
+    gripper = GripperKind(options.pop("gripper"))
+    calibration = run_calibration(CalibrationConfig(**options, gripper=gripper))
     save_camera(calibration.camera, out)
     if figure is not None:
         from kinebench_drake.grounding.overlay import draw_robot, save_image
 
         middle = len(calibration.frames) // 2
         finger_m = float(calibration.scene.finger_m[middle])
-        save_image(draw_robot(calibration.image, calibration.camera, calibration.X_BP[middle], finger_m), figure)
+        save_image(draw_robot(calibration.image, calibration.camera, calibration.drawn_parts(middle), finger_m), figure)
     if as_json:
         click.echo(dump(calibration.to_json(), indent=2), nl=False)
         return
