@@ -636,12 +636,11 @@ class Calibrator:
     ) -> CameraCalibration:
         """Calibrate by the links alone; arguments and errors as of `calibrate`."""
         links = self._links(gripper)
-        robot = links.detect(frames, states, guess, most)
-        images = frames[robot.rows]
-        shift = _camera_shift(images, robot.robot, guess)
+        detected = links.detect(frames, states, guess, focal_free=focal_free, most=most)
+        shift = _camera_shift(frames[detected[0].rows], detected[0].robot, guess)
         estimate, evidence = links.solve(
-            robot,
-            images,
+            detected,
+            frames,
             states,
             guess,
             focal_free=focal_free,
@@ -649,11 +648,9 @@ class Calibrator:
             centre_sigma_px=_CENTRE_SIGMA * guess.width if centre_free else 0.0,
         )
         basis = CalibrationBasis(method=CalibrationMethod.JOINTS, source=states.source, focal_free=focal_free)
-        calibration = replace(
-            describe_estimate(estimate, self._model, basis), frames=robot.rows[estimate.frames], links=evidence
-        )
+        calibration = replace(describe_estimate(estimate, self._model, basis), links=evidence)
         require_determined(calibration)
-        image = images[estimate.frames[len(estimate.frames) // 2]]
+        image = frames[estimate.frames[len(estimate.frames) // 2]]
         return replace(calibration, warnings=(*shift, *warnings_of(calibration)), image=image)
 
 

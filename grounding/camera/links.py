@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
@@ -19,9 +18,11 @@ from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene, Prior
 from kinebench_drake.grounding.camera.camera_estimate import CameraEstimate
 from kinebench_drake.grounding.camera.candidate import (
     LOG_FOCAL_SIGMA,
+    MIDDLE,
     CameraCandidate,
     CandidateFitter,
     ContourImages,
+    Passes,
 )
 from kinebench_drake.grounding.camera.detections import (
     MIN_FRAMES,
@@ -30,7 +31,7 @@ from kinebench_drake.grounding.camera.detections import (
     find_links,
 )
 from kinebench_drake.grounding.camera.estimate import JOINT_SIGMA_RAD
-from kinebench_drake.grounding.camera.lens import Lens, focal_px, solve_pnp, with_focal
+from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, Lens, focal_px, solve_pnp, with_focal
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import FIT_POINTS, EdgeMatcher, unknown_gripper
@@ -41,7 +42,7 @@ from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.progress import count_steps
 from kinebench_drake.models.panda.description import ARM, GRIPPER, LINK_OF, GripperKind, RobotPart
 from kinebench_drake.models.perception.network import WEIGHTS_OF, load_network
-from kinebench_drake.segments import evenly
+from kinebench_drake.segments import evenly, finite_rows
 
 MAX_LAG = 3
 """Greatest lag of joint angles that is tried [frames]."""
@@ -53,12 +54,16 @@ _SAME_SHAPE = 0.01
 """Relative difference within which two shapes are the same."""
 _FOV_DEG = (45.0, 60.0, 75.0, 90.0, 105.0)
 """Fields of view along the longer side at which the search starts [degrees]."""
+_VIEW_FOV_DEG = (USUAL_FOV_DEG, 90.0)
+"""Fields of view along the longer side that the views of the networks assume [degrees]."""
 _LINK_CELLS = 250
 """Greatest number of cells of a link that a consensus is sought in."""
 _SAMPLES = 500
 """Samples of a consensus: a third of the cells may be right."""
-_COMPARED_FRAMES = 8
-"""Frames in which initial cameras, lags and shapes of a pixel are compared."""
+_STARTED_FRAMES = 8
+"""Frames in which initial cameras are compared."""
+_COMPARED_FRAMES = 12
+"""Frames in which lags and shapes of a pixel are compared."""
 _PASSES = ((14.0, 1.0), (10.0, 0.6), (6.0, 0.3), (4.0, 0.1))
 """Reaches of the search for edges of an initial camera [px of an image of at most 640 px], and weights of the cells."""
 _LAG_PASSES = ((6.0, 0.0), (4.0, 0.0))
@@ -161,7 +166,7 @@ class _LinkFrames:
 
     def q(self, lag: float) -> Array:
         """Return the joint angles (T, 7) at a lag [rad]."""
-        return self.states.late_by(lag).q[self.robot.rows]
+        return self.states.q_at_lag(lag)[self.robot.rows]
 
     def locate(self, cells: CalibrationCorrespondences, lag: float) -> Array:
         """Return the points (N, 3) of cells in B at a lag [m]."""
@@ -186,19 +191,21 @@ class _LinkFrames:
                 starts.append((Lens(intrinsics=camera, X_CB=X_CB), lag))
         return starts
 
-    def fit(self, lens: Lens, lag: float, prior: Prior) -> CameraCandidate:
+    def fit(
+        self, lens: Lens, lag: float, prior: Prior, frames: int = _COMPARED_FRAMES, passes: Passes = _PASSES
+    ) -> CameraCandidate:
         """Return a lens after a fit to the contours of some of the frames."""
-        start = self.candidate(lens, lag).take(self.compared)
-        return self.fitter.fit(start, self.images.take(self.compared), replace(prior, lens=lens), _PASSES)
-
-    @property
-    def compared(self) -> NDArray[np.intp]:
-        """Rows of the frames in which cameras are compared."""
-        return evenly(len(self.robot.rows), _COMPARED_FRAMES)
+        rows = evenly(len(self.robot.rows), frames)
+        start = self.candidate(lens, lag).take(rows)
+        return self.fitter.fit(start, self.images.take(rows), replace(prior, lens=lens), passes)
 
     def find_lag(self, lens: Lens, lags: Sequence[float], prior: Prior) -> LagEstimate:
-        """Return the lag at which the contours of the moving links agree best, after a fit at each of some `lags`."""
-        rows = self.compared
+        """Return the lag at which the contours of the moving links agree best, after a fit at each of some `lags`.
+
+        The frames are those in which the joints move most.
+        """
+        turn_rad = np.linalg.norm(self.q(lags[-1]) - self.q(lags[0]), axis=1)
+        rows = np.sort(np.argsort(-turn_rad, kind="stable")[:_COMPARED_FRAMES])
         images = self.images.take(rows)
         moving = images.without(*GRIPPER, RobotPart.LINK0)
         prior = replace(prior, lens=lens, joint_sigma_rad=_LAG_JOINT_SIGMA_RAD)
@@ -239,18 +246,26 @@ class LinkCalibrator:
         """
         return cls(NetworkEstimator(load_network(WEIGHTS_OF[gripper])))
 
-    def detect(self, frames: Frames, states: RobotStates, camera: Camera, most: int) -> ArmDetections:
+    def detect(
+        self, frames: Frames, states: RobotStates, guess: Camera, *, focal_free: bool, most: int
+    ) -> list[ArmDetections]:
         """Return the links in the best of the frames (T, H, W, 3) whose joint angles are known at all lags.
+
+        Of an unknown focal length several are assumed, one after the other: views of a wide camera look stretched with
+        that of a narrow one.
 
         Raises:
             UnmeasurableError: they are seen in too few frames.
         """
-        ends = [states.late_by(lag).has_posture for lag in (-_most_lag(states), _most_lag(states))]
-        return find_links(self._estimator, frames, np.flatnonzero(ends[0] & ends[1]), camera, most)
+        ends = [finite_rows(states.q_at_lag(lag)) for lag in (-_most_lag(states), _most_lag(states))]
+        side = max(guess.width, guess.height)
+        cameras = [with_focal(guess, focal_px(side, fov)) for fov in _VIEW_FOV_DEG] if focal_free else [guess]
+        rows = np.flatnonzero(ends[0] & ends[1])
+        return [find_links(self._estimator, frames, rows, camera, most) for camera in cameras]
 
     def solve(
         self,
-        robot: ArmDetections,
+        detected: Sequence[ArmDetections],
         frames: Frames,
         states: RobotStates,
         guess: Camera,
@@ -262,9 +277,9 @@ class LinkCalibrator:
         """Fit a camera to links at known joint angles.
 
         Args:
-            robot: links in some frames; the frames of the estimate are rows of these.
-            frames: (T, H, W, 3) these frames.
-            states: robot states in all frames of the video.
+            detected: links in some of the frames, by assumed camera.
+            frames: (T, H, W, 3) frames of the video.
+            states: robot states in these frames.
             guess: initial intrinsics.
             focal_free: True to estimate the focal length.
             shapes: ratios fy / fx of the focal lengths that are tried.
@@ -273,9 +288,6 @@ class LinkCalibrator:
         Raises:
             UnmeasurableError: no camera agrees with the links.
         """
-        X_BP = self._fitter.model.poses(states.q[robot.rows])
-        images = replace(self._fitter.images(frames, guess), left_out=GRIPPER, points=FIT_POINTS)
-        links = _LinkFrames(balanced(robot, X_BP), states, images, self._fitter)
         prior = Prior(
             lens=Lens(intrinsics=guess, X_CB=np.eye(4)),
             log_focal_sigma=LOG_FOCAL_SIGMA if focal_free else 0.0,
@@ -284,24 +296,30 @@ class LinkCalibrator:
         lags = [float(lag) for lag in range(-_most_lag(states), _most_lag(states) + 1)]
         side = max(guess.width, guess.height)
         cameras = [with_focal(guess, focal_px(side, fov)) for fov in _FOV_DEG] if focal_free else [guess]
-        starts = links.find_starts(
-            [replace(camera, fy=camera.fx * shapes[0]) for camera in cameras], [lag for lag in lags if lag % 2 == 0]
-        )
-        if not starts:
-            raise UnmeasurableError(f"no camera agrees with the cells of the links ({describe_links(robot)})")
-        steps = count_steps(starts, "focal lengths compared", len(starts))
-        lens = max((links.fit(*start, prior) for start in steps), key=lambda fit: fit.agreement).scene.lens
-        lag = links.find_lag(lens, lags, prior)
-        fits = [links.fit(_stretched(lens, shape), lag.frames, prior) for shape in shapes]
-        fits.sort(key=lambda fit: -fit.agreement)
-        lens = fits[0].scene.lens
+        cameras = [replace(camera, fy=camera.fx * shapes[0]) for camera in cameras]
+        fits = []
+        for robot in count_steps(detected, "views compared", len(detected)):
+            X_BP = self._fitter.model.poses(states.q[robot.rows])
+            images = replace(self._fitter.images(frames[robot.rows], guess), left_out=GRIPPER, points=FIT_POINTS)
+            links = _LinkFrames(balanced(robot, X_BP), states, images, self._fitter)
+            starts = links.find_starts(cameras, [lag for lag in lags if lag % 2 == 0])
+            fits += [(links.fit(*start, prior, _STARTED_FRAMES), links, robot) for start in starts]
+        if not fits:
+            raise UnmeasurableError(f"no camera agrees with the cells of the links ({describe_links(detected[0])})")
+        fit, links, robot = max(fits, key=lambda one: one[0].agreement)
+        lag = links.find_lag(fit.scene.lens, lags, prior)
+        stretched = [links.fit(_stretched(fit.scene.lens, shape), lag.frames, prior) for shape in shapes]
+        stretched = [links.fit(fit.scene.lens, lag.frames, prior, passes=MIDDLE) for fit in stretched]
+        stretched.sort(key=lambda fit: -fit.agreement)
+        lens = stretched[0].scene.lens
         lag = links.find_lag(lens, lags, prior)
         candidate = links.candidate(lens, lag.frames)
         total = int((links.images.agreement(candidate.scene) > 0).sum())
         free = replace(prior, lens=lens, centre_sigma_px=centre_sigma_px)
         estimate = self._fitter.finish(candidate, links.images, free, max(total, MIN_FRAMES))
-        ratios = [(fit.scene.lens.intrinsics.fy / fit.scene.lens.intrinsics.fx, fit.agreement) for fit in fits]
-        return estimate, LinkEvidence(lag=lag, shapes=tuple(ratios), links=describe_links(robot))
+        ratios = [(fit.scene.lens.intrinsics.fy / fit.scene.lens.intrinsics.fx, fit.agreement) for fit in stretched]
+        evidence = LinkEvidence(lag=lag, shapes=tuple(ratios), links=describe_links(robot))
+        return replace(estimate, frames=links.robot.rows[estimate.frames]), evidence
 
 
 def _stretched(lens: Lens, shape: float) -> Lens:

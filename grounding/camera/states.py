@@ -53,16 +53,11 @@ class RobotStates:
         """Select frames."""
         return replace(self, q=self.q[frames], X_BH=self.X_BH[frames], finger_m=self.finger_m[frames])
 
-    def late_by(self, frames: float) -> "RobotStates":
-        """Return the states of rows that come `frames` later, interpolated; NaN where there are none."""
-        rows = np.arange(len(self.q)) + frames
-        before = np.clip(np.floor(rows), 0, len(rows) - 1).astype(np.intp)
-        after = np.clip(np.ceil(rows), 0, len(rows) - 1).astype(np.intp)
-        share = (rows - before)[:, None]
-        inside = (rows >= 0) & (rows <= len(rows) - 1)
-        q = np.where(inside[:, None], (1.0 - share) * self.q[before] + share * self.q[after], np.nan)
-        X_BH = np.where(inside[:, None, None], self.X_BH[before], np.nan)
-        return replace(self, q=q, X_BH=X_BH, finger_m=np.where(inside, self.finger_m[before], np.nan))
+    def q_at_lag(self, frames: float) -> Array:
+        """Return the joint angles (T, 7) of rows that come `frames` later, interpolated; NaN where there are none."""
+        rows = np.arange(len(self.q), dtype=np.float64)
+        joints = [np.interp(rows + frames, rows, angles, left=np.nan, right=np.nan) for angles in self.q.T]
+        return np.stack(joints, axis=1)
 
     def part_poses(self, model: ArmModel) -> Array:
         """Return the frames (T, PARTS, 4, 4) of the parts' CAD coordinates in B [m]; NaN where unknown."""

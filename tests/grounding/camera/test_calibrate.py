@@ -5,14 +5,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.errors import UnmeasurableError, UsageError
 from kinebench_drake.formats.camerafile import load_camera
 from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.grounding.camera import calibrate as calibration
-from kinebench_drake.grounding.camera.calibrate import CalibrationConfig, Calibrator, calibrate
-from kinebench_drake.grounding.camera.lens import with_focal
+from kinebench_drake.grounding.camera.bundle_adjustment import ArmScene
+from kinebench_drake.grounding.camera.calibrate import CalibrationConfig, Calibrator, calibrate, format_lines
+from kinebench_drake.grounding.camera.lens import Lens, with_focal
+from kinebench_drake.grounding.camera.links import LagEstimate, LinkEvidence
 from kinebench_drake.grounding.overlay import render_parts
-from kinebench_drake.models.panda.description import RobotPart
+from kinebench_drake.models.panda.description import GripperKind, RobotPart
 from tests.grounding.camera.robot import CellsAlone, PerfectEstimator, postures
 
 T = 6
@@ -122,6 +124,56 @@ def test_the_camera_is_estimated_from_the_arm_without_joint_angles(video, estima
             CalibrationConfig(video=video, focal_px=focal_px),
             Calibrator(estimator.estimate, estimator.estimate, Cameras()),
         )
+
+
+class LinksAlone:
+    """Takes the true camera as the one that fits the links, whose joint angles are in time."""
+
+    def __init__(self, estimator):
+        self._estimator = estimator
+
+    def detect(self, frames, states, guess, *, focal_free, most):
+        return [self._estimator.estimate(frames, guess)]
+
+    def solve(self, detected, frames, states, guess, **_):
+        lens = Lens.of_camera(self._estimator.camera)
+        scene = ArmScene(lens=lens, q=states.q, finger_m=np.zeros(len(states.q)))
+        start = SimpleNamespace(scene=scene, rows=np.arange(len(states.q)))
+        estimate = CellsAlone().refine(frames, guess, start, focal_free=True, centre_sigma_px=0.0)
+        lag = LagEstimate(frames=0.0, agreement=0.9, runner_up=0.5)
+        return estimate, LinkEvidence(lag=lag, shapes=((1.0, 0.9),), links="link5 in 6 of 6 frames")
+
+
+def no_hand(frames, camera):
+    raise UnmeasurableError("no gripper is seen")
+
+
+@pytest.mark.parametrize(
+    ("gripper", "kind"),
+    [("auto", GripperKind.ROBOTIQ_2F85), ("robotiq-2f85", GripperKind.ROBOTIQ_2F85), ("none", GripperKind.NONE)],
+)
+def test_the_links_alone_are_used_where_the_arm_carries_no_franka_hand(video, estimator, tmp_path, gripper, kind):
+    loaded = []
+    calibrator = Calibrator(
+        no_hand, no_hand, CellsAlone(), lambda gripper: loaded.append(gripper) or LinksAlone(estimator)
+    )
+    config = CalibrationConfig(video=video, joints=str(tmp_path / "joints.npz"), gripper=GripperKind(gripper))
+    calibration = calibrate(config, calibrator)
+    assert loaded == [kind]
+    assert calibration.to_json()["links_alone"]["lag_frames"] == 0.0
+    assert any("links alone" in line for line in format_lines(calibration))
+    assert np.isnan(calibration.drawn_parts(0)[RobotPart.HAND]).all()
+    assert np.isfinite(calibration.drawn_parts(0)[RobotPart.LINK7]).all()
+
+
+def test_a_franka_hand_that_is_not_detected_is_refused_if_the_gripper_is_named(video, estimator, tmp_path):
+    calibrator = Calibrator(no_hand, no_hand, CellsAlone(), lambda _: LinksAlone(estimator))
+    with pytest.raises(UnmeasurableError, match="no gripper is seen"):
+        calibrate(
+            CalibrationConfig(video=video, joints=str(tmp_path / "joints.npz"), gripper=GripperKind.FRANKA), calibrator
+        )
+    with pytest.raises(UsageError, match="needs the joint angles of all frames"):
+        calibrate(CalibrationConfig(video=video, joints="home", gripper=GripperKind.NONE), calibrator)
 
 
 def test_the_drawn_robot_lies_where_the_camera_projects_it(camera, model):
