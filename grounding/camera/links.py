@@ -66,8 +66,8 @@ _COMPARED_FRAMES = 12
 """Frames in which lags and shapes of a pixel are compared."""
 _PASSES = ((14.0, 1.0), (10.0, 0.6), (6.0, 0.3), (4.0, 0.1))
 """Reaches of the search for edges of an initial camera [px of an image of at most 640 px], and weights of the cells."""
-_LAG_PASSES = ((6.0, 0.0), (4.0, 0.0))
-"""Reaches of the search for edges at each lag [px of an image of at most 640 px], without cells."""
+_LAG_PASSES = ((5.0, 0.0),)
+"""Reach of the search for edges at each lag [px of an image of at most 640 px], without cells."""
 _LAG_JOINT_SIGMA_RAD = 1e-3
 """Standard deviation of joint angles where lags are compared: free ones would hide a lag [rad]."""
 LEAST_LEAD = 0.03
@@ -294,6 +294,7 @@ class LinkCalibrator:
             joint_sigma_rad=JOINT_SIGMA_RAD,
         )
         lags = [float(lag) for lag in range(-_most_lag(states), _most_lag(states) + 1)]
+        coarse_lags = [lag for lag in lags if lag % 2 == 0]
         side = max(guess.width, guess.height)
         cameras = [with_focal(guess, focal_px(side, fov)) for fov in _FOV_DEG] if focal_free else [guess]
         cameras = [replace(camera, fy=camera.fx * shapes[0]) for camera in cameras]
@@ -302,14 +303,14 @@ class LinkCalibrator:
             X_BP = self._fitter.model.poses(states.q[robot.rows])
             images = replace(self._fitter.images(frames[robot.rows], guess), left_out=GRIPPER, points=FIT_POINTS)
             links = _LinkFrames(balanced(robot, X_BP), states, images, self._fitter)
-            starts = links.find_starts(cameras, [lag for lag in lags if lag % 2 == 0])
+            starts = links.find_starts(cameras, coarse_lags)
             fits += [(links.fit(*start, prior, _STARTED_FRAMES), links, robot) for start in starts]
         if not fits:
             raise UnmeasurableError(f"no camera agrees with the cells of the links ({describe_links(detected[0])})")
         fit, links, robot = max(fits, key=lambda one: one[0].agreement)
-        lag = links.find_lag(fit.scene.lens, lags, prior)
+        lag = links.find_lag(fit.scene.lens, coarse_lags, prior)
         stretched = [links.fit(_stretched(fit.scene.lens, shape), lag.frames, prior) for shape in shapes]
-        stretched = [links.fit(fit.scene.lens, lag.frames, prior, passes=MIDDLE) for fit in stretched]
+        stretched = [links.fit(fit.scene.lens, lag.frames, prior, len(robot.rows), MIDDLE) for fit in stretched]
         stretched.sort(key=lambda fit: -fit.agreement)
         lens = stretched[0].scene.lens
         lag = links.find_lag(lens, lags, prior)
@@ -351,9 +352,9 @@ def balanced(robot: ArmDetections, X_BP: Array) -> ArmDetections:
 
 def describe_links(robot: ArmDetections) -> str:
     """Describe in how many frames each link is seen."""
-    seen = []
+    counts = []
     for part in ARM:
         cells = np.bincount(robot.cells.frame[robot.cells.part == part], minlength=len(robot.rows))
         if frames := int((cells >= _SEEN_CELLS).sum()):
-            seen.append(f"{LINK_OF[part].removeprefix('panda_')} in {frames}")
-    return f"{', '.join(seen) or 'no link'} of {len(robot.rows)} frames"
+            counts.append(f"{LINK_OF[part].removeprefix('panda_')} in {frames}")
+    return f"{', '.join(counts) or 'no link'} of {len(robot.rows)} frames"

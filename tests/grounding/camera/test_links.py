@@ -119,7 +119,7 @@ def test_joint_angles_at_a_lag_are_those_of_later_rows_and_unknown_beyond_the_en
     ("agreement", "runner_up", "said"),
     [(0.3, 0.1, "30% of their contours do.*the links seen are link5 in 3"), (0.6, 0.49, "as much at other times")],
 )
-def test_too_little_evidence_is_refused_with_what_was_detected(agreement, runner_up, said):
+def test_too_little_evidence_is_refused_with_the_links_in_view(agreement, runner_up, said):
     lag = LagEstimate(frames=0.0, agreement=0.5, runner_up=runner_up)
     evidence = LinkEvidence(lag=lag, shapes=((1.0, 0.5),), links="link5 in 3 of 9 frames")
     with pytest.raises(UnmeasurableError, match=said):
