@@ -91,7 +91,7 @@ def check_clips(folder: Path) -> Iterator[PanelCheck]:
 
 def _compose(films: Sequence[Film], rng: np.random.Generator) -> tuple[Film, Places]:
     """Return a tiled film and its panels."""
-    width, height, rows = LAYOUTS[rng.integers(len(LAYOUTS))]
+    width, height, rows = LAYOUTS[int(rng.integers(len(LAYOUTS)))]
     width, height = (4 * round(side * rng.choice([0.75, 1.0, 1.0, 1.25]) / 4) for side in (width, height))
     gap = int(rng.choice([0, 0, 0, 2, 4, 8]))
     paper = int(rng.choice([255, 128] if any(_B in kinds for kinds in rows) else [0, 255, 128]))
@@ -142,6 +142,10 @@ def _seen_from_hand(image: Film, size: tuple[int, int], phase: float) -> Film:
     centre = (192.0 + 60.0 * np.sin(phase), 230.0 + 50.0 * np.cos(1.3 * phase))
     M = cv2.getRotationMatrix2D(centre, 40.0 * np.sin(phase) + 20.0, scale)
     M[:, 2] += [size[0] / 2 - centre[0], size[1] / 2 - centre[1]]
+    image = image.copy()
+    for k in range(30):  # things on the table
+        place = (37 * k * k % image.shape[1], 61 * k % image.shape[0])
+        cv2.circle(image, place, 6 + k % 7, (11 * k % 256, 255 - 8 * k, 97 * k % 256), -1, cv2.LINE_AA)
     view = cv2.warpAffine(image, M, size, borderMode=cv2.BORDER_REFLECT)
     for x in (0.35, 0.65):
         corners = np.array([[x - 0.05, 1.0], [x, 0.55], [x + 0.04, 0.6], [x + 0.09, 1.0]]) * size

@@ -34,6 +34,8 @@ _CHANGE_LEVELS = 25.0
 """Difference of grey levels in time that is a change."""
 _CHANGED_SHARE = 0.05
 """Largest share of pixels of a band of text that change: those of a counter."""
+BAR_PX = 16
+"""Largest width of a bar between two pictures: of its edges one may be faint [px]."""
 BAND_PX = 10
 """Least height of a band of text; what is narrower is a bar [px]."""
 _TEXT_SIDE = 0.25
@@ -63,7 +65,7 @@ def cut_bands(luma: Luma) -> list[int]:
     width = luma.shape[2]
     colours = luma.mean(axis=(0, 1))
     changes = np.abs(np.diff(colours, append=colours[-1])) > _LEVELS
-    cuts = set()
+    cuts: set[int] = set()
     for stretch in segments(_flat_lines(luma)):
         ends = [*(k + 1 for k in range(stretch.start, stretch.stop - 1) if changes[k]), stretch.stop]
         for start, stop in zip([stretch.start, *ends], ends, strict=False):
@@ -71,7 +73,13 @@ def cut_bands(luma: Luma) -> list[int]:
                 colour = float(np.median(colours[start:stop]))
                 before = [k + 1 for k in range(start - 1, max(start - _BLUR_PX, 0) - 1, -1)]
                 after = list(range(stop, min(stop + _BLUR_PX, width)))
-                cuts.update(_first_edge(luma, before, colour, -1), _first_edge(luma, after, colour, 0))
+                edges = _first_edge(luma, before, colour, -1), _first_edge(luma, after, colour, 0)
+                if any(edges) and stop - start <= BAR_PX:
+                    edges = (
+                        _first_edge(luma, before, colour, -1, _LEVELS),
+                        _first_edge(luma, after, colour, 0, _LEVELS),
+                    )
+                cuts.update(*edges)
     return sorted(cuts)
 
 
@@ -82,11 +90,11 @@ def _flat_lines(luma: Luma) -> NDArray[np.bool_]:
     return np.asarray(is_even & ((off > _LEVELS).mean(axis=(0, 1)) <= _OUTLIERS))
 
 
-def _first_edge(luma: Luma, places: list[int], colour: float, side: int) -> list[int]:
-    """Return the first of the places beyond which the lines of a region differ from a colour; none if all are like it.
+def _first_edge(luma: Luma, places: list[int], colour: float, side: int, levels: float = _EDGE_LEVELS) -> list[int]:
+    """Return the first of the places beyond which lines differ from a colour by these grey levels; none if all do not.
 
     The line beyond a place is the one before it (`side` -1), or the one after it (0).
     """
-    off = np.abs(luma[:, :, [place + side for place in places]] - colour) > _EDGE_LEVELS
+    off = np.abs(luma[:, :, [place + side for place in places]] - colour) > levels
     differs = off.mean(axis=(0, 1)) >= _EDGE_SHARE
     return [place for place, is_beyond in zip(places, differs, strict=True) if is_beyond][:1]

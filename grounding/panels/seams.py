@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.grounding.panels.bands import Luma
+from kinebench_drake.grounding.panels.bands import BAR_PX, Luma
 from kinebench_drake.io.video import MIN_SIDE_PX
 
 _JUMP_LEVELS = 4.0
@@ -51,8 +51,6 @@ _STEPPED_PARTS = 5
 _PART_SHARE = 0.1
 """Equal parts of a line, and least number of them in which this share has a step: the edge of one body has it in a
 stretch, a seam along its whole length, but for where both pictures are dark or bright."""
-_BAR_PX = 16
-"""Largest width of a bar between two pictures, whose second edge is a seam as well [px]."""
 _BAR_LEVELS = 8.0
 """Largest mean deviation along such a bar, into which both pictures bleed [grey levels]."""
 
@@ -89,7 +87,7 @@ def find_seam(luma: Luma) -> tuple[float, list[int]] | None:
     best = next((k for k in order[:_TRIED] if is_seam(k)), None)
     if best is None:
         return None
-    near = [k for k in order if 1 < abs(k - best) <= _BAR_PX and shares[k] >= _CLEAR and ratios[k] >= _RATIO]
+    near = [k for k in order if 1 < abs(k - best) <= BAR_PX and shares[k] >= _CLEAR and ratios[k] >= _RATIO]
     bar = [k for k in near if _is_bar(luma[:, :, min(k, best) + 2 : max(k, best) + 2])]
     return float(shares[best]), sorted(k + 2 for k in (best, *bar[:1]))
 
@@ -101,7 +99,7 @@ def _is_bar(strip: Luma) -> bool:
 def find_repetition(luma: Luma) -> int | None:
     """Return the column at which the picture of the first frame of a region begins anew, as real beside generated."""
     for count in (2, 3):
-        width = luma.shape[2] // count
+        width = int(luma.shape[2]) // count
         if luma.shape[2] % count == 0 and width >= MIN_SIDE_PX and _are_alike(*_parts(luma[0], width)):
             return width
     return None
