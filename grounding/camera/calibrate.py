@@ -155,7 +155,7 @@ class CameraCalibration(FittedCamera):
 
     def drawn_parts(self, row: int) -> Array:
         """Return the frames (PARTS, 4, 4) in B [m] of the parts that were fitted in a frame used; NaN for others."""
-        X_BP = self.X_BP[row].copy()
+        X_BP: Array = self.X_BP[row].copy()
         if self.links is not None:
             X_BP[list(GRIPPER)] = np.nan
         return X_BP

@@ -305,7 +305,7 @@ def find_links(
     cells = find_correspondences(views, camera)
     cells = cells.take(np.isin(cells.part, ARM))
     count = np.bincount(cells.frame, minlength=len(frames))
-    chosen = _best_seen({row: float(count[row]) for row in np.flatnonzero(count >= MIN_CELLS)}, len(frames), most)
+    chosen = _best_seen({int(row): float(count[row]) for row in np.flatnonzero(count >= MIN_CELLS)}, len(frames), most)
     if len(chosen) < MIN_FRAMES:
         raise UnmeasurableError(
             f"links of the arm are seen in {len(chosen)} of {len(searched)} frames, at least {MIN_FRAMES} are needed"
