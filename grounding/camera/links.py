@@ -54,6 +54,8 @@ _SAME_SHAPE = 0.01
 """Relative difference within which two shapes are the same."""
 _FOV_DEG = (45.0, 60.0, 75.0, 90.0, 105.0)
 """Fields of view along the longer side at which the search starts [degrees]."""
+_USUAL_FOCAL = (0.25, 3.0)
+"""Focal lengths of usual lenses over the longer side of the picture: fields of view of 127 to 19 degrees."""
 _VIEW_FOV_DEG = (USUAL_FOV_DEG, 90.0)
 """Fields of view along the longer side that the views of the networks assume [degrees]."""
 _LINK_CELLS = 250
@@ -197,7 +199,8 @@ class _LinkFrames:
         """Return a lens after a fit to the contours of some of the frames."""
         rows = evenly(len(self.robot.rows), frames)
         start = self.candidate(lens, lag).take(rows)
-        return self.fitter.fit(start, self.images.take(rows), replace(prior, lens=lens), passes)
+        fit = self.fitter.fit(start, self.images.take(rows), replace(prior, lens=lens), passes)
+        return fit if _is_usual(fit.scene.lens.intrinsics) else replace(fit, agreement=0.0)
 
     def find_lag(self, lens: Lens, lags: Sequence[float], prior: Prior) -> LagEstimate:
         """Return the lag at which the contours of the moving links agree best, after a fit at each of some `lags`.
@@ -318,9 +321,16 @@ class LinkCalibrator:
         total = int((links.images.agreement(candidate.scene) > 0).sum())
         free = replace(prior, lens=lens, centre_sigma_px=centre_sigma_px)
         estimate = self._fitter.finish(candidate, links.images, free, max(total, MIN_FRAMES))
+        if not _is_usual(estimate.camera):
+            estimate = replace(estimate, agreement=0.0)
         ratios = [(fit.scene.lens.intrinsics.fy / fit.scene.lens.intrinsics.fx, fit.agreement) for fit in stretched]
         evidence = LinkEvidence(lag=lag, shapes=tuple(ratios), links=describe_links(robot))
         return replace(estimate, frames=links.robot.rows[estimate.frames]), evidence
+
+
+def _is_usual(camera: Camera) -> bool:
+    """Return whether the focal length is one of a usual lens: any contours agree with a view that has nearly none."""
+    return _USUAL_FOCAL[0] < camera.fx / max(camera.width, camera.height) < _USUAL_FOCAL[1]
 
 
 def _stretched(lens: Lens, shape: float) -> Lens:
