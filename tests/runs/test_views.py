@@ -38,7 +38,8 @@ def test_option_and_manifest_choose_the_same_panel(tiled, config, tmp_path, view
     manifest.write_text(json.dumps({"video": "pair.mp4", "view": int(view) if view.isdecimal() else view}))
     score_videos(config(view=view, out=tmp_path / "option"))
     score_videos(config(source=manifest, out=tmp_path / "manifest"))
-    (by_option,), (by_manifest,) = rows(tmp_path / "option"), rows(tmp_path / "manifest")
+    (by_option,) = rows(tmp_path / "option")
+    (by_manifest,) = rows(tmp_path / "manifest")
     assert by_option["view"] == by_manifest["view"] == name
     assert by_option["panels"] == by_manifest["panels"]
     assert (by_option["width"], by_option["height"]) == (96, 128)
