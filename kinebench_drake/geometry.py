@@ -124,9 +124,13 @@ def to_quaternion(R: ArrayLike) -> Array:
     return np.asarray(quaternion.reshape(*R.shape[:-2], 4))
 
 
-def interpolate_pose(X_1: ArrayLike, X_2: ArrayLike, s: float) -> Array:
-    """Return the pose (4, 4) at fraction `s` from `X_1` (s = 0) to `X_2` (s = 1): straight line, shortest rotation."""
+def interpolate_pose(X_1: ArrayLike, X_2: ArrayLike, s: ArrayLike) -> Array:
+    """Return the poses (..., 4, 4) at fractions `s` (...) from `X_1` (s = 0) to `X_2` (s = 1).
+
+    The position moves along a straight line, the rotation the shortest way.
+    """
     X_1 = np.asarray(X_1, dtype=np.float64)
     X_2 = np.asarray(X_2, dtype=np.float64)
-    step = rotation_log(X_1[:3, :3].T @ X_2[:3, :3])
-    return make_pose(X_1[:3, :3] @ rotation_exp(s * step), (1.0 - s) * X_1[:3, 3] + s * X_2[:3, 3])
+    s = np.asarray(s, dtype=np.float64)[..., None]
+    step = rotation_log(np.swapaxes(X_1[..., :3, :3], -1, -2) @ X_2[..., :3, :3])
+    return make_pose(X_1[..., :3, :3] @ rotation_exp(s * step), (1.0 - s) * X_1[..., :3, 3] + s * X_2[..., :3, 3])

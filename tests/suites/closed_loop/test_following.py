@@ -100,7 +100,7 @@ def test_actions_are_interpolated_at_the_times_of_the_frames() -> None:
 def test_a_clip_that_ends_early_lacks_frames() -> None:
     first = np.arange(30)
     short = track(actions().X_BG[first], actions().finger_width_m[first], T_S[first])
-    assert np.isinf(measure_following(short, actions(), "id").commanded.distance_m).sum() == 19
+    assert np.isnan(measure_following(short, actions(), "id").commanded.distance_m).sum() == 19
     assert summary(short)["action_error_m"] == pytest.approx(0.0, abs=1e-6)
     first = np.arange(20)
     shorter = track(actions().X_BG[first], actions().finger_width_m[first], T_S[first])
