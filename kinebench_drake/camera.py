@@ -183,6 +183,8 @@ class CameraSource(Enum):
     BENCHMARK = "benchmark"
     OPTION = "option"
     """File of the command line, which precedes all."""
+    FITTED = "fitted"
+    """Fitted to the arm where its motion is stated, or taken from the real clip of a generated one."""
     RECOGNIZED = "recognized"
     """Another one that is known by name, recognized by the arm."""
     ESTIMATED = "estimated"
@@ -192,8 +194,9 @@ class CameraSource(Enum):
 
     @property
     def is_named(self) -> bool:
-        """True if the user or the input names the camera."""
-        return self in (CameraSource.ARGUMENT, CameraSource.MANIFEST, CameraSource.FOLDER, CameraSource.OPTION)
+        """True if the user or the input names the camera, or determines it before the video is measured."""
+        named = (CameraSource.ARGUMENT, CameraSource.MANIFEST, CameraSource.FOLDER, CameraSource.OPTION)
+        return self in (*named, CameraSource.FITTED)
 
 
 class CameraState(Enum):

@@ -20,7 +20,7 @@ from kinebench_drake.errors import count_noun, name_options, one_line
 from kinebench_drake.executors.interrupt import ignore_interrupts
 from kinebench_drake.metrics.executable import UNCHECKED, FailureVerdict, reason_kind
 from kinebench_drake.metrics.trust import trust_lines
-from kinebench_drake.report.verdict import describe_trust, describe_verdict
+from kinebench_drake.report.verdict import describe_trust, describe_verdict, follow_lines
 from kinebench_drake.results.aggregate import estimate, estimate_executable, estimate_passes
 from kinebench_drake.results.drops import DROPS
 from kinebench_drake.results.inputs import input_lines
@@ -157,9 +157,10 @@ def _print_summary(out: Path, summary: RunSummary) -> None:
 
 def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:
     """Describe a run's rows: verdicts, faults, what could not be measured, frame period and camera, a line each."""
-    verdicts = [line for name in ("success", "executable", "feasible") if (line := _share(name, rows))]
+    verdicts = [line for name in ("follows", "success", "executable", "feasible") if (line := _share(name, rows))]
     if verdicts:
         yield "; ".join(verdicts)
+    yield from follow_lines(rows)
     if passes := estimate_passes(rows):
         yield "; ".join(
             f"pass@{k}: {share.mean:.0%} of {count_noun(share.n, 'episode')} (95% interval {share.low:.0%} to "

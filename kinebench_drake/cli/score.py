@@ -29,7 +29,7 @@ def _one_path(ctx: click.Context, param: click.Parameter, paths: tuple[Path, ...
     return paths[0]
 
 
-_source_argument = click.argument(
+source_argument = click.argument(
     "source", metavar="PATH", nargs=-1, required=True, type=PathParameter(), callback=_one_path
 )
 _OF_VERDICT = (
@@ -37,8 +37,8 @@ _OF_VERDICT = (
     *("fail_on", "fail_under", "sarif", "write_kept"),
 )
 """Options of `score` without a meaning where no motion is judged."""
-_GROUPS = {
-    "Start": ("dry_run", "out"),
+OPTION_GROUPS = {
+    "Start": ("dry_run", "out", "actions", "reference"),
     "Input": (
         *("frame_period_s", "task_duration_s", "rate_hz", "reading", "camera_key"),
         *("task", "model", "model_from", "tags", "pixels_only", "masks", "depth", "depth_exact", "poses"),
@@ -67,7 +67,7 @@ _dry_run_option = click.option(
 
 @click.command(
     cls=GroupedCommand,
-    groups=_GROUPS,
+    groups=OPTION_GROUPS,
     epilog=(
         "\b\nExamples:\n"
         "  kinebench-drake score videos/ --out results/\n"
@@ -80,7 +80,7 @@ _dry_run_option = click.option(
         "  kinebench-drake score heldout/manifest.jsonl --out results/ --masks heldout --depth heldout"
     ),
 )
-@_source_argument
+@source_argument
 @config_options(ScoreConfig, omit=("source", "format"))
 @_dry_run_option
 @click.pass_context
@@ -104,7 +104,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
 
 @click.command(
     cls=GroupedCommand,
-    groups=_GROUPS,
+    groups=OPTION_GROUPS,
     epilog=(
         "\b\nExamples:\n"
         "  kinebench-drake ground videos/ --out tracks/ --overlay\n"
@@ -113,7 +113,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "  kinebench-drake ground videos/ --out tracks/ --format lerobot-v3 --frame-period 0.2"
     ),
 )
-@_source_argument
+@source_argument
 @config_options(ScoreConfig, omit=("source", *_OF_VERDICT))
 @_dry_run_option
 @click.pass_context
@@ -131,7 +131,7 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
 
 @click.command(
     cls=GroupedCommand,
-    groups=_GROUPS,
+    groups=OPTION_GROUPS,
     epilog=(
         "\b\nExamples:\n"
         "  kinebench-drake audit track.npz --out results/\n"
@@ -143,7 +143,7 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "  kinebench-drake audit dataset/ --out results/ --fail-on infeasible --fail-under feasible=0.95"
     ),
 )
-@_source_argument
+@source_argument
 @config_options(AuditConfig, omit=("source",))
 @click.pass_context
 def audit(ctx: click.Context, /, **options: Any) -> None:

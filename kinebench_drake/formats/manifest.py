@@ -25,7 +25,7 @@ from kinebench_drake.view_name import check_view
 
 NAME = "manifest.jsonl"
 
-UNREAD = frozenset({"frames", "suite", "split", "negative_prompt", "actions"})
+UNREAD = frozenset({"frames", "suite", "split", "negative_prompt"})
 """Keys that `suite export` and `suite demos` write for world models: ignored without a warning."""
 
 WIDTH_TOLERANCE_M = 0.002
@@ -94,6 +94,8 @@ class ManifestEntry(BaseModel):
     """Relative path of the conditioning image of the video model."""
     view: Annotated[str, BeforeValidator(_view_text), AfterValidator(check_view)] | None = None
     """Panel of tiled frames: its number in reading order, its place, or `auto`."""
+    actions: object | None = None
+    """Relative path of the file of the actions that the clip should show, which `follow` reads."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -206,11 +208,14 @@ def _sample(line: ManifestLine, folder: Path, search: Search) -> VideoSample:
     camera = None
     path = folder
     first_frame = None
+    actions = None
     if entry is not None:
         try:
             path = join_relative(folder, entry.video, "video", links_out=False)
             camera = entry_camera(entry, folder)
             first_frame = _conditioning_image(entry, folder) or image_beside(path)
+            if isinstance(entry.actions, str):
+                actions = join_relative(folder, entry.actions, "actions", links_out=False)
         except InputError as error:
             problem = f"line {line.number}: {error}"
     sample = VideoSample(
@@ -219,6 +224,7 @@ def _sample(line: ManifestLine, folder: Path, search: Search) -> VideoSample:
         video=video,
         initial_state=_initial_state(entry) if entry else None,
         first_frame=first_frame,
+        actions=actions,
         problem=problem,
         **(entry.model_dump(include=_LABELS) if entry else {}),
     )

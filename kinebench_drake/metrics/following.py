@@ -124,8 +124,8 @@ class PoseSeries:
         return replace(self, t_s=t_s, X=X, finger_width_m=np.interp(t_s, self.t_s, self.finger_width_m))
 
     def taken(self, rows: NDArray[np.intp]) -> "PoseSeries":
-        """Return the series with the poses and gaps of `rows` (T,) at its times."""
-        return replace(self, X=self.X[rows], finger_width_m=self.finger_width_m[rows])
+        """Return the frames `rows` (N,) in this order."""
+        return replace(self, t_s=self.t_s[rows], X=self.X[rows], finger_width_m=self.finger_width_m[rows])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -225,7 +225,7 @@ def measure_following(
         measured: poses of the frames; NaN where lost.
         commanded: commands in the same frame, on the same clock.
         rng: determines the order of the shuffled commands.
-        other: commands of another clip, in place of shuffled ones.
+        other: commands of another clip, in place of shuffled ones unless they are the same motion.
         camera: camera of the frames, where the poses are in the robot base frame.
 
     Raises:
@@ -234,14 +234,17 @@ def measure_following(
     own = np.flatnonzero(measured.t_s <= commanded.t_s[-1] + 0.5 * measured.period_s)
     if min(len(own), len(commanded.t_s)) < 2:
         raise InputError(f"{len(commanded.t_s)} commands and {len(own)} frames up to the last, expected two or more")
-    frames = replace(measured, t_s=measured.t_s[own], X=measured.X[own], finger_width_m=measured.finger_width_m[own])
+    frames = measured.taken(own)
     commands = commanded.at(frames.t_s)
     rows = np.arange(len(own))
+    if other is not None and _Match.of(commands, other).share >= FOLLOWING_SHARE:
+        other = None  # the same motion is no control
     controls = {
         "shuffled": commands.taken(rng.permutation(rows)) if other is None else other.at(frames.t_s),
         "reversed": commands.taken(rows[::-1]),
         "still": commands.taken(np.zeros_like(rows)),
     }
+    controls = {name: replace(control, t_s=frames.t_s) for name, control in controls.items()}
     match = _Match.of(frames, commanded)
     rivals = {name: _Match.of(frames, control) for name, control in controls.items()}
     follows, reason = _decide(match, rivals)
@@ -305,11 +308,8 @@ class _Match:
 
     def commanded(self, lag_frames: float) -> PoseSeries:
         """Return the commands at one of the lags."""
-        n = self.excess.shape[1]
         k = int(np.argmin(np.abs(self.lags - lag_frames)))
-        rows = slice(k * n, (k + 1) * n)
-        d = self.delayed
-        return replace(d, t_s=d.t_s[rows], X=d.X[rows], finger_width_m=d.finger_width_m[rows])
+        return self.delayed.taken(np.arange(self.delayed.t_s.size).reshape(self.excess.shape)[k])
 
 
 def _decide(match: _Match, rivals: Mapping[str, _Match]) -> tuple[bool | None, str]:
@@ -327,8 +327,8 @@ def _decide(match: _Match, rivals: Mapping[str, _Match]) -> tuple[bool | None, s
     if match.far_share >= FAR_SHARE:
         return False, f"{inside}, {round(match.far_share * n)} beyond {FAR:g} times that at every lag"
     lost = int(np.isnan(match.excess).all(axis=0).sum())
-    unknown = f", {lost} not measured" if lost else ""
-    return None, f"{inside}{unknown}: {FOLLOWING_SHARE:.0%} are needed to follow, few lie clearly outside"
+    unknown = f"{lost} not measured, " if lost else ""
+    return None, f"{inside}, {unknown}{round(match.far_share * n)} clearly outside"
 
 
 def _fit(frames: PoseSeries, match: _Match) -> tuple[float | None, float, float | None]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import FAINT, LABEL_PT, TICK_PT, new_figure, plain
+from kinebench_drake.metrics.following import TUBE_M, TUBE_RAD
 from kinebench_drake.report.figures import BAD, COLOURS, DOUBT, NEUTRAL, inline_figure
 from kinebench_drake.report.limit_table import joint_limits, limit_ratios
 from kinebench_drake.report.timeline import ANOMALY, DOUBTFUL, LOST, VIOLATION, FaultLane, fault_lanes
@@ -53,7 +54,7 @@ def draw_curves(row: SampleRow, file: TrackFile) -> list[Markup]:
     """Draw all plots that the track's file has data for; old files and videos without verdict have fewer."""
     lanes = fault_lanes(row, file.track)
     joints = list(_joint_panels(row, file))
-    motion = [*_path_panels(file), *_gripper_panels(file)]
+    motion = [*_deviation_panels(file), *_path_panels(file), *_gripper_panels(file)]
     figures = []
     if joints or lanes:
         figures.append(_draw_panels(f"{row.id} joints", file.track.t_s, lanes, joints, bars=True))
@@ -97,6 +98,18 @@ def _path_panels(file: TrackFile) -> Iterator[Panel]:
         curves = {label: scale * values for label, values in own.items() if (np.abs(values) >= least).any()}
         if curves:
             yield Panel(title=title, curves=curves, lines=(0.0,))
+
+
+def _deviation_panels(file: TrackFile) -> Iterator[Panel]:
+    """List the panels of deviations from actions or a real clip; those of the tube are marked."""
+    for title, names, scale, bound in (
+        ("Deviation [mm]", {"TCP": "deviation_m", "gap": "deviation_finger_m"}, 1e3, 1e3 * TUBE_M),
+        ("Deviation [°]", {"rotation": "deviation_rad"}, 180.0 / np.pi, 180.0 / np.pi * TUBE_RAD),
+        ("Deviation [px]", {"TCP in the image": "deviation_px"}, 1.0, 0.0),
+    ):
+        curves = {label: scale * file.curves[name] for label, name in names.items() if name in file.curves}
+        if any(np.isfinite(values).any() for values in curves.values()):
+            yield Panel(title=title, curves=curves, lines=(bound,))
 
 
 def _gripper_panels(file: TrackFile) -> Iterator[Panel]:

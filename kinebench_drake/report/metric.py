@@ -51,6 +51,14 @@ _LAYOUTS = {
             *("joint_limit_margin_min", "table_distance_min_m", "manipulability_min", "sparc"),
         ),
     ),
+    "follow": MetricLayout(
+        headlines=("follows", "follow_share", "gain", "deviation_m", "deviation_px"),
+        columns=(
+            *("follow_share", "lag_frames", "gain", "deviation_m", "deviation_rad", "deviation_finger_m"),
+            *("deviation_px", "deviation_hands", "drift_from_frame", "tracked_fraction"),
+        ),
+        shares=("follows",),
+    ),
     "suite": MetricLayout(
         headlines=("success", "progress", "rounds", "tracked_fraction", "sparc"),
         columns=("progress", "rounds", "tracked_fraction", "gap_robot_iou", "gap_gripper_m", "slowdown_min", "sparc"),

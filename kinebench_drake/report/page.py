@@ -27,6 +27,7 @@ from kinebench_drake.report.verdict import (
     VERDICT_LABELS,
     describe_trust,
     explain_verdict,
+    follow_lines,
     name_verdict,
     verdict_of,
 )
@@ -124,7 +125,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         title=_title(results),
         stamp=_stamp(out),
         results=results,
-        inputs=[*input_lines(rows), *trust_lines(rows)],
+        inputs=[*follow_lines(rows), *input_lines(rows), *trust_lines(rows)],
         total=total,
         drops=_group_drops(list_drops(sorted(rows, key=lambda row: row.id))) if results.get("kind") in GATED else [],
         headlines=[(BY_NAME[n], total.estimates[n]) for n in layout.headlines if _is_measured(total, n)],

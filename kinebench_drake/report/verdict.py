@@ -1,22 +1,24 @@
 """The verdict of a row in words, and the trust in it: for the lines of a run, its pages and replays."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from kinebench_drake.errors import count_noun
+from kinebench_drake.io.jsonl import as_number
 from kinebench_drake.metrics.executable import INFEASIBLE, LOST, OPEN, UNCHECKED, UNDECIDED, FailureVerdict, reason_kind
+from kinebench_drake.metrics.following import FOLLOWING_SHARE
 from kinebench_drake.metrics.trust import TrustLevel
 from kinebench_drake.report.limit_table import describe_violation, format_frames
 from kinebench_drake.results.row import SampleRow, Status
 
 _FAILURES = {cause.value: f"failed: {cause.value}" for cause in FailureVerdict}
 VERDICT_LABELS = {
-    **{"error": "error", "infeasible": "infeasible", **_FAILURES},
+    **{"error": "error", "infeasible": "infeasible", "deviates": "does not follow", **_FAILURES},
     **{"unmeasurable": "unmeasurable", "feasible": "not executable, no limit broken", "unjudged": "undecided"},
     **{"tracked": "tracked", "checked": "feasible as far as checked"},
-    **{"executable": "executable", "success": "success"},
+    **{"executable": "executable", "success": "success", "follows": "follows"},
 }
 """Labels of the verdicts, the worst first."""
-GOOD_VERDICTS = ("executable", "success")
+GOOD_VERDICTS = ("executable", "success", "follows")
 _MOST_SPANS = 3
 """Stretches of frames that a cause lists."""
 
@@ -25,6 +27,8 @@ def verdict_of(row: SampleRow) -> str:
     """Return the verdict of a row, a key of VERDICT_LABELS; of a closed-loop episode its outcome."""
     if row.status is not Status.OK:
         return str(row.status.value)
+    if row.has("follows"):
+        return "unjudged" if row.follows is None else "follows" if row.follows else "deviates"
     if row.has("verdict"):
         cause = row.verdict if row.verdict in _FAILURES else None
         return "success" if row.success else cause or "unjudged"
@@ -66,8 +70,19 @@ def name_verdict(row: SampleRow) -> str:
 
 def explain_verdict(row: SampleRow) -> str:
     """Return what decides on the verdict of a row; empty if nothing needs to be said."""
-    cause = row.reason or (None if row.cause is None else row.cause.text)
+    cause = row.reason or row.follow_reason or (None if row.cause is None else row.cause.text)
     return cause or "; ".join(_list_causes(row))
+
+
+def follow_lines(rows: Iterable[SampleRow]) -> list[str]:
+    """State how many clips are inside the tube of each control's actions; empty for rows without controls."""
+    controls = [row.controls for row in rows if row.controls]
+    if not controls:
+        return []
+    counts = [
+        f"{name} {sum((as_number(c.get(name)) or 0.0) >= FOLLOWING_SHARE for c in controls)}" for name in controls[0]
+    ]
+    return [f"inside the tube of the actions of a control: {', '.join(counts)} of {count_noun(len(controls), 'clip')}"]
 
 
 def describe_trust(row: SampleRow) -> str:

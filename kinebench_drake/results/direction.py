@@ -11,7 +11,7 @@ HIGHER_IS_BETTER = frozenset(
         *("manipulability_mean", "manipulability_min", "manipulability_integral", "manipulability_limited_mean"),
         *("manipulability_limited_min", "manipulability_translation_mean", "manipulability_rotation_mean"),
         *("joint_limit_margin_min", "self_distance_min_m", "table_distance_min_m"),
-        *("gap_robot_iou", "gap_psnr_db", "gap_ssim", "action_following"),
+        *("gap_robot_iou", "gap_psnr_db", "gap_ssim", "action_following", "follows", "follow_share"),
     }
 )
 LOWER_IS_BETTER = frozenset(
@@ -22,6 +22,7 @@ LOWER_IS_BETTER = frozenset(
         *("time_scale", "trajopt_position_tube_m", "camera_motion_px", "arm_consistency_px", "rounds"),
         *("gap_gripper_m", "gap_gripper_rad"),
         *("action_error_m", "action_error_rad", "action_error_finger_m", "action_lag_s"),
+        *("deviation_m", "deviation_rad", "deviation_finger_m", "deviation_px", "deviation_hands", "drift_m"),
     }
 )
 

@@ -45,6 +45,7 @@ _CAMERAS: Mapping[str, str] = {
     "benchmark": "the benchmark's",
     "option": "from --camera",
     "auto": "one known by name where the arm confirms it, else estimated from the arm",
+    "fitted": "fitted to the arm where its motion is stated",
     "recognized": "known by name, recognized by the arm",
     "estimated": "estimated from the arm",
     "none": "unknown: without a base frame (the robot's own) verdicts are undecided",

@@ -16,7 +16,7 @@ from kinebench_drake.plugin import BENCHMARK
 _TOP = Path(__file__).parents[1]
 _PACKAGES = ("numpy", "scipy", "drake", "open3d", "torch", "av", "mani_skill", "sapien")
 
-RUNS = ("kinebench_drake.runs.score", "kinebench_drake.runs.audit", BENCHMARK)
+RUNS = ("kinebench_drake.runs.score", "kinebench_drake.runs.audit", "kinebench_drake.runs.follow", BENCHMARK)
 """Modules that measure samples."""
 _NOT_MEASURING = ("report", "results", "executors", "environment", "cli", "errors", "stats")
 """Parts of the package on which no number of a row depends: storage, statistics, presentation, distribution of work."""

@@ -21,8 +21,13 @@ from kinebench_drake.violation import Violation
 
 VERDICT_SHARES = ("executable", "feasible")
 """Verdicts, whose shares stand beside the metrics."""
-OUTCOMES = ("success", "progress", "rounds")
-"""Numbers of closed-loop episodes, which stand beside the metrics."""
+FOLLOWING = (
+    *("follows", "follow_share", "lag_frames", "gain", "deviation_m", "deviation_rad", "deviation_finger_m"),
+    *("deviation_px", "deviation_hands", "drift_from_frame", "drift_m"),
+)
+"""Measures of a clip against its actions or its real clip."""
+OUTCOMES = ("success", "progress", "rounds", *FOLLOWING)
+"""Numbers of closed-loop episodes and of following, which stand beside the metrics."""
 MetricValue = float | tuple[Anomaly, ...] | None
 ANOMALIES = "anomalies"
 """Name of the only metric that is no number."""
@@ -326,6 +331,36 @@ class SampleRow:
     """Hash of the motion, equal in copies."""
     action_lag: ActionLag | None = None
     """Frames by which the states of a recording follow its actions."""
+
+    follows: bool | None = None
+    """Whether the clip follows its actions, or without any its real clip; null: undecided (docs/following.md)."""
+    follow_reason: str | None = None
+    """What this rests on, or why it is undecided."""
+    follow_share: float | None = None
+    """Share of the frames inside the tube about the actions; lost frames count as outside."""
+    lag_frames: float | None = None
+    """Delay of the motion behind the actions [frames]; null where no delay is clear."""
+    gain: float | None = None
+    """Motion made over motion commanded; null where nearly none is commanded."""
+    deviation_m: float | None = None
+    """Distance of the TCP from the commanded one at that delay: median, a lost frame worse than any; null where half of
+    the frames are lost, and without a base frame [m]."""
+    deviation_rad: float | None = None
+    """The same of the rotation between them [rad]."""
+    deviation_finger_m: float | None = None
+    """The same of the gap between the finger pads [m]."""
+    deviation_px: float | None = None
+    """The same of the TCP in the image [px of the video]."""
+    deviation_hands: float | None = None
+    """The same over the length of the hand in the image, 0.1034 m from its flange to the TCP; without a base frame."""
+    drift_from_frame: int | None = None
+    """Frame from which on the clip stays beyond 1 cm or 5 degrees of the actions; null if it does not."""
+    drift_m: float | None = None
+    """Median distance from there on [m]; without a base frame null."""
+    controls: Mapping[str, Json] | None = None
+    """Share of the frames inside the tube about the actions of each control: `shuffled`, `reversed`, `still`."""
+    reference: Mapping[str, Json] | None = None
+    """The same keys for a clip with actions against its real clip; `real_follows`: verdict on that one's own motion."""
 
     sample_index: int = 0
     """Number of the sample among those of its episode, from 0."""

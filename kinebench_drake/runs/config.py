@@ -56,6 +56,7 @@ class RunKind(Enum):
     SCORE = "score"
     GROUND = "ground"
     AUDIT = "audit"
+    FOLLOW = "follow"
     SUITE = "suite"
 
     @property
@@ -66,6 +67,11 @@ class RunKind(Enum):
     @property
     def judges(self) -> bool:
         """True if the run judges kinematics."""
+        return self not in (RunKind.GROUND, RunKind.FOLLOW)
+
+    @property
+    def reports(self) -> bool:
+        """True if the run writes a report."""
         return self is not RunKind.GROUND
 
 

@@ -19,6 +19,7 @@ from kinebench_drake.models.robot import Robot
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
 if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
+    from kinebench_drake.grounding.camera.calibrate import Calibrator
     from kinebench_drake.grounding.video import Grounder
     from kinebench_drake.metrics.judge import TrackJudge
     from kinebench_drake.metrics.kinematic_result import KinematicResult
@@ -105,6 +106,13 @@ class Resources:
         from kinebench_drake.grounding.video import Grounder
 
         return Grounder(table_height_m=self._table_height_m)
+
+    @cached_property
+    def calibrator(self) -> "Calibrator":
+        """The calibration of cameras."""
+        from kinebench_drake.grounding.camera.calibrate import Calibrator
+
+        return Calibrator.load()
 
     def judge(self, track: GripperTrack, table_height_m: float | None = None) -> "KinematicResult":
         """Judge a track of poses: infeasible only if no joint path follows it.

@@ -149,7 +149,7 @@ def _is_complete(config: RunConfig, metadata: RunMetadata) -> bool:
 
     stored = read_metadata(config.out)
     finished = stored is not None and stored.finished and stored.run.to_json() == metadata.to_json()
-    return finished and (not config.kind.judges or is_report_current(config.out))
+    return finished and (not config.kind.reports or is_report_current(config.out))
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +184,7 @@ def close_run(store: ResultStore, kind: RunKind, seed: int, statistics: RunStati
     """Write the report of a finished output folder and return its summary."""
     if kind.value in GATED:
         write_lines(store.out / DROPS, (drop.to_json() for drop in list_drops(store.sorted_rows())))
-    if kind.judges:
+    if kind.reports:
         from kinebench_drake.report.page import write_report
 
         with disk_errors(REPORT):
@@ -208,7 +208,7 @@ def summarize_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
         executable=estimate_executable(rows, seed) if kind.judges and rows else None,
         feasible=feasible if feasible.n else None,
         success=success if kind is RunKind.SUITE and success.n else None,
-        report=store.out / REPORT if kind.judges else None,
+        report=store.out / REPORT if kind.reports else None,
         drops=tuple(list_drops(rows)) if kind.value in GATED else (),
     )
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -193,6 +193,8 @@ class VideoMeasurement:
     kinematics: "KinematicResult | None"
     """Verdict in the base frame; None where it is unknown, or the run does not judge."""
     row: SampleRow
+    curves: Mapping[str, Array] = field(default_factory=dict)
+    """Further curves of its track file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,7 +213,7 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         """Read, ground, judge, write."""
         video = read_sample(sample)
         measurement = self.measure(sample, video, tools, row)
-        self._write(sample, video, tools, measurement)
+        self.write(sample, video, tools, measurement)
         return measurement.row
 
     def measure(self, sample: VideoSample, video: Video, tools: Resources, row: SampleRow) -> VideoMeasurement:
@@ -241,7 +243,7 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         row = judge_row(row, kinematics, agreed=agreed, reasons=reasons, tracked=track.tracked)
         return VideoMeasurement(grounding=grounding, kinematics=kinematics, row=row)
 
-    def _write(self, sample: VideoSample, video: Video, tools: Resources, measurement: VideoMeasurement) -> None:
+    def write(self, sample: VideoSample, video: Video, tools: Resources, measurement: VideoMeasurement) -> None:
         """Write the artifacts of a video."""
         out = self.config.out
         grounding = measurement.grounding
@@ -262,7 +264,9 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
         if self.config.format is not None and grounding.unmeasurable is None and grounding.choice.reason is None:
             joints = tools.joints(track, grounding.table_height_m)
-        write_track(artifact_path(out, "tracks", sample.id), track, joints, {**curves, **measured.curves})
+        write_track(
+            artifact_path(out, "tracks", sample.id), track, joints, {**curves, **measured.curves, **measurement.curves}
+        )
 
     @property
     def metric_names(self) -> tuple[str, ...]:

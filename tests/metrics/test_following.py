@@ -88,11 +88,11 @@ def test_other_shuffled_and_reversed_commands_do_not_follow(seed) -> None:
     own = commands(seed)
     order = np.random.default_rng(seed).permutation(T)
     for rows in (order, np.arange(T)[::-1]):
-        assert measure(made(own), own.taken(rows)).follows is False
+        assert measure(made(own), replace(own.taken(rows), t_s=own.t_s)).follows is False
     other = commands(seed + 10)
     assert measure(made(own), other).follows is False
     assert measure(made(own), own, other=other).follows
-    assert measure(made(own), own, other=own).follows is None  # the control fits as well
+    assert measure(made(own), own, other=own).follows  # the same motion is no control
 
 
 @settings(max_examples=40, deadline=None)
@@ -123,5 +123,4 @@ def test_a_higher_rate_and_a_longer_recording_of_commands_change_nothing() -> No
     result = measure(measured, fine)
     assert result.follows
     assert result.lag_frames == pytest.approx(1.0, abs=0.2)
-    first = replace(measured, t_s=measured.t_s[:30], X=measured.X[:30], finger_width_m=measured.finger_width_m[:30])
-    assert measure(first, fine).lag_frames == pytest.approx(1.0, abs=0.2)
+    assert measure(measured.taken(np.arange(30)), fine).lag_frames == pytest.approx(1.0, abs=0.2)

@@ -43,6 +43,8 @@ class VideoSample(Sample):
     """Conditioning image of the video model; None if there is none."""
     view: str | None = None
     """Panel of tiled frames by the manifest; None for that of the command line."""
+    actions: Path | None = None
+    """File of the actions that the video should show; None if none is named."""
     reference_X_BG: Array | None = field(default=None, compare=False, repr=False)
     """(T, 4, 4) TCP in the robot base frame by another extractor, NaN where it has none [m]; None: there is none."""
 
