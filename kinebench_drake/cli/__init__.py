@@ -19,7 +19,7 @@ _COMMANDS = {
     "score": ("score", "Score videos: gripper tracks, kinematic metrics, report."),
     "ground": ("score", "Extract gripper tracks from videos, without kinematics."),
     "audit": ("score", "Check trajectories against the robot's kinematics, without video."),
-    "follow": ("follow", "Compare videos with the actions, or the real clips, that they should show."),
+    "follow": ("score", "Compare videos with the actions, or the real clips, that they should show."),
     "reading": ("score", "Print how a trajectory file would be read."),
     "export-commands": ("score", "Write the commands with which a robot executes a trajectory."),
     "calibrate": ("calibrate", "Estimate a static camera from a video of the robot."),

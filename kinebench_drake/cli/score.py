@@ -15,7 +15,7 @@ from kinebench_drake.cli.click_options import (
 )
 from kinebench_drake.errors import UsageError, name_options
 from kinebench_drake.runs.audit import AuditConfig
-from kinebench_drake.runs.config import RunKind, ScoreConfig
+from kinebench_drake.runs.config import FollowConfig, RunKind, ScoreConfig
 
 
 def _one_path(ctx: click.Context, param: click.Parameter, paths: tuple[Path, ...]) -> Path:
@@ -29,7 +29,7 @@ def _one_path(ctx: click.Context, param: click.Parameter, paths: tuple[Path, ...
     return paths[0]
 
 
-source_argument = click.argument(
+_source_argument = click.argument(
     "source", metavar="PATH", nargs=-1, required=True, type=PathParameter(), callback=_one_path
 )
 _OF_VERDICT = (
@@ -37,7 +37,9 @@ _OF_VERDICT = (
     *("fail_on", "fail_under", "sarif", "write_kept"),
 )
 """Options of `score` without a meaning where no motion is judged."""
-OPTION_GROUPS = {
+_UNFOLLOWED = ("format", "limits", "payload_kg", "obstacles", "replays", "fail_on", "sarif", "write_kept")
+"""Options of `score` without a meaning where a motion is compared."""
+_GROUPS = {
     "Start": ("dry_run", "out", "actions", "reference"),
     "Input": (
         *("frame_period_s", "task_duration_s", "rate_hz", "reading", "camera_key"),
@@ -67,7 +69,7 @@ _dry_run_option = click.option(
 
 @click.command(
     cls=GroupedCommand,
-    groups=OPTION_GROUPS,
+    groups=_GROUPS,
     epilog=(
         "\b\nExamples:\n"
         "  kinebench-drake score videos/ --out results/\n"
@@ -80,7 +82,7 @@ _dry_run_option = click.option(
         "  kinebench-drake score heldout/manifest.jsonl --out results/ --masks heldout --depth heldout"
     ),
 )
-@source_argument
+@_source_argument
 @config_options(ScoreConfig, omit=("source", "format"))
 @_dry_run_option
 @click.pass_context
@@ -104,7 +106,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
 
 @click.command(
     cls=GroupedCommand,
-    groups=OPTION_GROUPS,
+    groups=_GROUPS,
     epilog=(
         "\b\nExamples:\n"
         "  kinebench-drake ground videos/ --out tracks/ --overlay\n"
@@ -113,7 +115,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "  kinebench-drake ground videos/ --out tracks/ --format lerobot-v3 --frame-period 0.2"
     ),
 )
-@source_argument
+@_source_argument
 @config_options(ScoreConfig, omit=("source", *_OF_VERDICT))
 @_dry_run_option
 @click.pass_context
@@ -131,7 +133,38 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
 
 @click.command(
     cls=GroupedCommand,
-    groups=OPTION_GROUPS,
+    groups=_GROUPS,
+    epilog=(
+        "\b\nExamples:\n"
+        "  kinebench-drake follow videos/ --actions actions/ --out results/     # videos/a.mp4, actions/a.npz\n"
+        "  kinebench-drake follow videos/manifest.jsonl --out results/          # key actions of each line\n"
+        "  kinebench-drake follow generated/ --reference real/ --out results/"
+    ),
+)
+@_source_argument
+@config_options(FollowConfig, omit=("source", *_UNFOLLOWED))
+@click.pass_context
+def follow(ctx: click.Context, /, **options: Any) -> None:
+    """Compare the videos of PATH with the actions, or the real clips, that they should show.
+
+    PATH is as in `score`. The motion of the gripper is measured, and compared with the commanded one: how far it is
+    from it, how late, how large, from which frame on it drifts, and whether it follows. The same is done with
+    shuffled, reversed and still actions: what follows those as well proves nothing (docs/following.md).
+
+    Actions are joint angles or poses of the TCP, one row per frame or with times (docs/formats.md); --reading states
+    what their names leave open, also changes from frame to frame. The camera, if none is named, is fitted to the arm in
+    the commanded postures, on frames that are not judged.
+    """
+    from kinebench_drake.cli.progress import run
+    from kinebench_drake.runs.follow import follow_videos
+
+    config = FollowConfig(replays=None, **options)
+    ctx.exit(run(lambda observer: follow_videos(config, observer), config.out))
+
+
+@click.command(
+    cls=GroupedCommand,
+    groups=_GROUPS,
     epilog=(
         "\b\nExamples:\n"
         "  kinebench-drake audit track.npz --out results/\n"
@@ -143,7 +176,7 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "  kinebench-drake audit dataset/ --out results/ --fail-on infeasible --fail-under feasible=0.95"
     ),
 )
-@source_argument
+@_source_argument
 @config_options(AuditConfig, omit=("source",))
 @click.pass_context
 def audit(ctx: click.Context, /, **options: Any) -> None:

@@ -77,6 +77,10 @@ class PoseSeries:
     """Standard deviation of the positions, root of the sum over the axes [m]."""
     sigma_rad: float = 0.0
     """Standard deviation of the rotations, likewise [rad]."""
+    offset_m: float = 0.0
+    """Greatest position error that all poses may share [m]."""
+    offset_rad: float = 0.0
+    """Greatest rotation error that they may share [rad]."""
 
     def __post_init__(self) -> None:
         """Check shapes against the number of frames.
@@ -102,8 +106,10 @@ class PoseSeries:
             t_s=track.t_s,
             X=np.where(valid[:, None, None], X, np.nan),
             finger_width_m=np.where(valid, track.finger_width_m, np.nan),
-            sigma_m=float(np.hypot(np.sqrt(3.0) * np.nan_to_num(noise.position_m), track.offset_m)),
-            sigma_rad=float(np.hypot(np.sqrt(3.0) * np.nan_to_num(noise.rotation_rad), track.offset_rad)),
+            sigma_m=float(np.sqrt(3.0) * np.nan_to_num(noise.position_m)),
+            sigma_rad=float(np.sqrt(3.0) * np.nan_to_num(noise.rotation_rad)),
+            offset_m=track.offset_m,
+            offset_rad=track.offset_rad,
         )
 
     @property
@@ -288,8 +294,9 @@ class _Match:
         lags = np.arange(LAGS[0] - 0.5, LAGS[1] + 0.5 + 0.5 * _LAG_STEP, _LAG_STEP).round(6)
         delayed = commanded.at((frames.t_s - frames.period_s * lags[:, None]).ravel())
         distance, angle = pose_difference(frames.X, delayed.X.reshape(len(lags), -1, 4, 4))
-        tube_m = TUBE_M + TUBE_SIGMAS * np.hypot(frames.sigma_m, commanded.sigma_m)
-        tube_rad = TUBE_RAD + TUBE_SIGMAS * np.hypot(frames.sigma_rad, commanded.sigma_rad)
+        # no narrower than what poses may be off together, as with an estimated camera
+        tube_m = max(TUBE_M, frames.offset_m) + TUBE_SIGMAS * np.hypot(frames.sigma_m, commanded.sigma_m)
+        tube_rad = max(TUBE_RAD, frames.offset_rad) + TUBE_SIGMAS * np.hypot(frames.sigma_rad, commanded.sigma_rad)
         return cls(lags=lags, delayed=delayed, excess=np.maximum(distance / tube_m, angle / tube_rad))
 
     @property

@@ -9,6 +9,7 @@ from typing import Annotated, TypeVar
 from kinebench_drake.errors import UsageError, name_options, suggestion
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S, Sample
+from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.trajectory import SLOW_STEP_S, parse_number
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.jsonl import Json
@@ -368,6 +369,32 @@ class ScoreConfig(SourceConfig):
             "camera": Path(self.camera).name,
             "depth": self.overrides().names.get("depth"),
         }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FollowConfig(ScoreConfig):
+    """Options of a run that compares clips with their actions or real clips."""
+
+    kind: RunKind = RunKind.FOLLOW
+    actions: Annotated[
+        Path | None,
+        Option(
+            "Actions that the clips should show: a folder with ID.npz, csv, json, h5 or parquet for each video, or a "
+            "data set with an episode of each name.  [default: the files under the key actions of the manifest]",
+            metavar="DIR|FILE",
+        ),
+    ] = None
+    reference: Annotated[
+        Path | None, Option("Real clips that the videos should show, with the same ids.", metavar="PATH")
+    ] = None
+    reading: Annotated[
+        Path | None,
+        Option("How to read the actions (docs/formats.md).  [default: by their names]", metavar="FILE"),
+    ] = None
+
+    def trajectory_options(self) -> TrajectoryOptions:
+        """Return the options of reading actions."""
+        return TrajectoryOptions(reading=None if self.reading is None else Reading.parse(self.reading))
 
 
 def _check_names(option: str, names: Iterable[str], valid: Sequence[str]) -> None:
