@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from benchmarks import poses, speed, verdicts
-from benchmarks.options import COUNT, EXISTING_FOLDER, FILE, CommandGroup, jobs_option
+from benchmarks.options import COUNT, EXISTING_FOLDER, FILE, FOLDER, CommandGroup, jobs_option
 
 
 @click.group(
@@ -67,6 +67,17 @@ def tolerance(episodes: int, out: Path, jobs: int) -> None:
         shares = (f"{size:g}: {success_share(attempts, error, size):.1%}" for size in sizes)
         click.echo(f"success under {error.value}: {', '.join(shares)}")
     draw_tolerance(attempts, out)
+
+
+@main.command(epilog="\b\nExample:\n  python -m benchmarks following --work planted")
+@click.option("--work", type=FOLDER, required=True, help="Folder for the clips and their output folder.")
+def following(work: Path) -> None:
+    """Draw clips with planted lags, gains and a drift by the learned world model; compare them with their actions."""
+    from benchmarks.following import measure_planted
+    from benchmarks.options import EXAMPLES
+
+    for line in measure_planted(EXAMPLES, Path("examples/worldmodel/weights"), work / "clips", work / "out"):
+        click.echo(line)
 
 
 @main.command(epilog="\b\nExample:\n  python -m benchmarks tasks --seed 4 --out docs/tasks.jpg")
