@@ -76,17 +76,29 @@ def measure_planted(videos: Path, weights: Path, work: Path, out: Path) -> Itera
     for id, X_BG in exact.items():
         true = measure_following(_series(X_BG), _series(exact["lag-0"]), np.random.default_rng(0))
         row = rows[id]
-        own = [row.deviation_m, true.median("distance_m")]
+        deviations = (row.deviation_m, true.median("distance_m"))
         error = pose_difference(read_track(artifact_path(out, "tracks", id)).track.X_BG, X_BG)[0]
-        pairs.append(own)
-        cells = [row.follows, _pair(row.lag_frames, true.lag_frames), _pair(row.gain, true.gain)]
-        cells += [
+        pairs.append(deviations)
+        cells = (
+            str(row.follows).lower(),
+            _pair(row.lag_frames, true.lag_frames),
+            _pair(row.gain, true.gain),
             _pair(row.drift_from_frame, true.drift_from_frame),
-            _pair(*(_mm(v) for v in own)),
-            _mm(np.nanmedian(error)),
-        ]
-        lines.append([id, *map(str, cells)])
-    head = ["planted", "follows", "lag", "gain", "drift from frame", "deviation [mm]", "error of the track [mm]"]
+            _pair(*(_mm(value) for value in deviations)),
+            _pair(_mm(row.drift_m), _mm(true.drift_m)),
+            f"{1e3 * np.nanmedian(error):.1f}",
+        )
+        lines.append((id, *cells))
+    head = [
+        "planted",
+        "follows",
+        "lag",
+        "gain",
+        "drift from frame",
+        "deviation [mm]",
+        "drift [mm]",
+        "error of track [mm]",
+    ]
     yield from table(head, lines)
     measured = [p for p in pairs if None not in p]
     yield ""
@@ -96,13 +108,13 @@ def measure_planted(videos: Path, weights: Path, work: Path, out: Path) -> Itera
 
 def _series(X_BG: Array) -> PoseSeries:
     n = len(X_BG)
-    return PoseSeries(t_s=PERIOD_S * np.arange(n), X=X_BG, finger_width_m=np.full(n, np.nan))
+    return PoseSeries(t_s=PERIOD_S * np.arange(n, dtype=np.float64), X=X_BG, finger_width_m=np.full(n, np.nan))
 
 
 def _mm(value: float | None) -> float | None:
     return None if value is None else round(1e3 * float(value), 1)
 
 
-def _pair(found: float | None, true: float | None) -> str:
+def _pair(measured: float | None, true: float | None) -> str:
     """Return a measured value and the exact one."""
-    return " / ".join("-" if value is None else f"{value:.3g}" for value in (found, true))
+    return " / ".join("-" if value is None else f"{value:.3g}" for value in (measured, true))

@@ -40,6 +40,8 @@ MIN_FRAMES = 8
 """Least number of frames to compare: fewer show no motion, and one lost frame of them is more than is allowed."""
 LAGS = (-1.0, 5.0)
 """Least and greatest lag that is reported [frames]: commands are at most a frame late, models skip few frames."""
+MIN_GAIN = 0.1
+"""Least gain of a motion that has a lag: a clip that rests, or moves the other way, has none."""
 _LAG_STEP = 0.1
 """Step of the search [frames]: a fifth of the error that is allowed."""
 LEAD = 0.2
@@ -160,8 +162,6 @@ class Following:
     """Share of the frames inside the tube; lost frames count as outside."""
     lag_frames: float | None
     """Delay of the motion [frames]; None where all lags fit alike, or the best one lies outside `LAGS`."""
-    lead: float
-    """Share by which the loss at the lag is below those a frame away."""
     gain: float | None
     """Motion made over motion commanded; None where nearly none is commanded."""
     deviation: Deviation
@@ -254,7 +254,7 @@ def measure_following(
     match = _Match.of(frames, commanded)
     rivals = {name: _Match.of(frames, control) for name, control in controls.items()}
     follows, reason = _decide(match, rivals)
-    lag_frames, lead, gain = _fit(frames, match)
+    lag_frames, gain = _fit(frames, match)
     deviation = deviate(frames, match.commanded(lag_frames or 0.0), camera)
     onset = _find_drift(deviation)
     drift_m = None if onset is None else float(np.nanmedian(deviation.distance_m[onset:]))
@@ -263,7 +263,6 @@ def measure_following(
         reason=reason,
         share=match.share,
         lag_frames=lag_frames,
-        lead=lead,
         gain=gain,
         deviation=deviation,
         drift_from_frame=onset,
@@ -330,7 +329,7 @@ def _decide(match: _Match, rivals: Mapping[str, _Match]) -> tuple[bool | None, s
         alike = [name for name, rival in rivals.items() if cost > CONTROL_RATIO * rival.cost(lost=0.0)]
         if not alike:
             return True, inside
-        return None, f"{inside}, but {' and '.join(alike)} commands fit nearly as well: the motion is too small to tell"
+        return None, f"{inside}, but {' and '.join(alike)} actions fit nearly as well, which is no evidence"
     if match.far_share >= FAR_SHARE:
         return False, f"{inside}, {round(match.far_share * n)} beyond {FAR:g} times that at every lag"
     lost = int(np.isnan(match.excess).all(axis=0).sum())
@@ -338,8 +337,8 @@ def _decide(match: _Match, rivals: Mapping[str, _Match]) -> tuple[bool | None, s
     return None, f"{inside}, {unknown}{round(match.far_share * n)} clearly outside"
 
 
-def _fit(frames: PoseSeries, match: _Match) -> tuple[float | None, float, float | None]:
-    """Return the lag [frames] or None, its lead, and the gain at it or None."""
+def _fit(frames: PoseSeries, match: _Match) -> tuple[float | None, float | None]:
+    """Return the lag [frames] or None, and the gain at it or None."""
     commanded = _point_path(match.delayed.X).reshape(len(match.lags), -1, 9)
     measured = _point_path(frames.X)
     valid = finite_rows(measured) & finite_rows(commanded)
@@ -361,13 +360,10 @@ def _fit(frames: PoseSeries, match: _Match) -> tuple[float | None, float, float 
     elsewhere = loss[np.abs(match.lags - match.lags[best]) >= 1.0]
     lead = float(1.0 - loss[best] / max(elsewhere.min(), 1e-12))
     is_clear = lead >= LEAD and LAGS[0] <= match.lags[best] <= LAGS[1]
+    is_clear &= gain[best] >= MIN_GAIN and count[best] >= MIN_FRAMES
     chosen = best if is_clear else int(np.argmin(np.abs(match.lags)))
     moved = float(np.sqrt(power[chosen] / 3.0))
-    return (
-        float(match.lags[best]) if is_clear else None,
-        lead,
-        float(gain[chosen]) if moved >= MIN_MOTION_M else None,
-    )
+    return float(match.lags[best]) if is_clear else None, float(gain[chosen]) if moved >= MIN_MOTION_M else None
 
 
 def _point_path(X: Array) -> Array:
