@@ -117,4 +117,4 @@ def _mm(value: float | None) -> float | None:
 
 def _pair(measured: float | None, true: float | None) -> str:
     """Return a measured value and the exact one."""
-    return " / ".join("-" if value is None else f"{value:.3g}" for value in (measured, true))
+    return " / ".join("-" if value is None else f"{round(value, 3):.3g}" for value in (measured, true))
