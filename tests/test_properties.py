@@ -16,8 +16,9 @@ from kinebench_drake.formats.manifest import read_manifest
 from kinebench_drake.formats.samples import safe, unique_ids
 from kinebench_drake.formats.trajectories.check import check
 from kinebench_drake.formats.trajectories.trajectory import RawTrajectory
-from kinebench_drake.io.jsonl import dump, finite, parse_json
+from kinebench_drake.io.jsonl import dump, parse_json
 from kinebench_drake.results.metadata import RunMetadata
+from kinebench_drake.results.record import to_json
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import SAMPLES, read_rows
 from kinebench_drake.results.trackfile import read_track, write_track
@@ -37,7 +38,7 @@ json_values = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(texts, inner, max_size=4),
     max_leaves=12,
 )
-strict = json_values.map(finite)
+strict = json_values.map(to_json)
 
 
 def plain(error: KinebenchError) -> None:

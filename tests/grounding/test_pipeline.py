@@ -29,7 +29,7 @@ from kinebench_drake.grounding.tracking.pose import (
 from kinebench_drake.grounding.tracking.tracker import CadTracker, Tracking
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.panda.cad import GripperCad, franka_hand
+from kinebench_drake.models.panda.cad import franka_hand
 from kinebench_drake.models.panda.description import hand_from_tcp
 from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.track import Domain
@@ -44,8 +44,8 @@ def estimator() -> NetworkEstimator:
 
 
 @pytest.fixture(scope="session")
-def pipeline(estimator: NetworkEstimator, cad: GripperCad) -> GroundingPipeline:
-    return GroundingPipeline(CadTracker(estimator, cad), load_confidence())
+def pipeline(estimator: NetworkEstimator) -> GroundingPipeline:
+    return GroundingPipeline(CadTracker(estimator), load_confidence())
 
 
 @pytest.fixture(scope="session")
@@ -144,7 +144,7 @@ def test_the_initial_state_is_used_unless_the_first_frame_contradicts_it(
     [(0.9, 0.99, Domain.FAMILIAR), (0.7, 0.75, Domain.UNFAMILIAR), (0.7, 0.65, Domain.FAMILIAR)],
 )
 def test_a_doubtful_video_gets_the_domain_with_more_expected_correct_poses(
-    estimator: NetworkEstimator, cad: GripperCad, clip: TruthClip, familiar: float, unfamiliar: float, domain: Domain
+    estimator: NetworkEstimator, clip: TruthClip, familiar: float, unfamiliar: float, domain: Domain
 ) -> None:
     def always(probability: float, of: Domain) -> Confidence:
         weights = np.zeros(len(FRAME_FEATURES[of]))
@@ -157,8 +157,8 @@ def test_a_doubtful_video_gets_the_domain_with_more_expected_correct_poses(
         Domain.UNFAMILIAR: always(unfamiliar, Domain.UNFAMILIAR),
     }
     frames = read_video(clip.path).frames[:2]
-    assert CadTracker(estimator, cad, confidence).track(frames, clip.camera).domain is domain
-    assumed = CadTracker(estimator, cad, confidence).track(frames, clip.camera, Priors(camera_is_assumed=True))
+    assert CadTracker(estimator, confidence=confidence).track(frames, clip.camera).domain is domain
+    assumed = CadTracker(estimator, confidence=confidence).track(frames, clip.camera, Priors(camera_is_assumed=True))
     assert assumed.domain is Domain.FAMILIAR
 
 

@@ -8,7 +8,7 @@ from kinebench_drake.grounding.registration.fit import HandModel, gripper_cells
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import Correspondences, solve
 from kinebench_drake.grounding.tracking.view import CLOSE_SIZE, Crop, GripperView
-from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.cad import MAX_FINGER_M, GripperCad
 from kinebench_drake.models.panda.description import RobotPart
 
 FINGER_M = 0.03
@@ -46,7 +46,9 @@ def moved(turn: list[float], shift: list[float]) -> Array:
 def hand_model(X: Array) -> HandModel:
     """One hand at `X` (4, 4), its pose free."""
     one = np.ones(1, dtype=bool)
-    return HandModel(X_CH=X[None], finger_m=np.array([FINGER_M]), finger_free=~one, pose_free=one)
+    return HandModel(
+        X_CH=X[None], finger_m=np.array([FINGER_M]), finger_free=~one, pose_free=one, max_finger_m=MAX_FINGER_M * one
+    )
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from kinebench_drake.grounding.anomaly.absence import Absence, AbsenceFinder, li
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
+from kinebench_drake.models.gripper import GripperModel
 from kinebench_drake.models.panda.description import RobotPart
 from tests.grounding.conftest import fitted_pose
 from tests.grounding.robots import CAMERA, drawn, posture, views
@@ -32,7 +33,7 @@ def explain(finder):
     def of(first, last, *, camera: Camera = CAMERA, without_hand=True, without_wrist=False):
         images, wide, poses = [], [], []
         fitter = ArmFitter(camera, finder.model, finder.edges)
-        nothing = trimesh.creation.box([1e-4] * 3)
+        nothing = GripperModel(parts={RobotPart.HAND: trimesh.creation.box([1e-4] * 3)}, max_finger_m=0.0)
         for q, is_shown in zip(np.linspace(first, last, FRAMES), SHOWN, strict=True):
             _, close, whole = views(finder.model, q, 0)
             image = drawn(finder.model, q) if is_shown or not without_hand else drawn(finder.model, q, nothing)

@@ -11,6 +11,7 @@ from kinebench_drake.grounding.anomaly.appearance import (
     second_gripper,
 )
 from kinebench_drake.grounding.tracking.view import Crop
+from kinebench_drake.models.panda.cad import franka_hand
 from tests.grounding.conftest import hand_pose, perfect_view
 
 CAMERA = benchmark_camera()
@@ -62,9 +63,9 @@ def test_the_second_gripper_is_scored_beside_the_tracked_one(cad):
         beside[0, 3] -= np.sign(X_CH[0, 3]) * 0.25
         second = perfect_view(cad, beside, 0.03, crop=Crop.of_frame(CAMERA))
         both = replace(first, part=np.where(first.part > 0, first.part, second.part))
-        assert second_gripper(first, X_CH, CAMERA) == 0.0
-        assert second_gripper(both, X_CH, CAMERA) > 0.3
-        assert second_gripper(replace(first, part=np.zeros_like(first.part)), X_CH, CAMERA) == 0.0
+        assert second_gripper(first, X_CH, CAMERA, franka_hand()) == 0.0
+        assert second_gripper(both, X_CH, CAMERA, franka_hand()) > 0.3
+        assert second_gripper(replace(first, part=np.zeros_like(first.part)), X_CH, CAMERA, franka_hand()) == 0.0
 
 
 def test_a_second_gripper_is_reported_only_if_it_stays_for_several_frames():

@@ -39,7 +39,7 @@ def test_cells_without_external_depth_do_not_calibrate_its_scale(cad: GripperCad
         depth_m[0] = 0.0
         depth_m[0, rows] = depth_m[1, rows]
         priors = Priors(X_CH=np.stack([X_CH, X_CH]), depth=ExternalDepth(depth_m=depth_m))
-        depth = CadTracker(Network(), cad)._calibrate(frames, camera, priors).depth
+        depth = CadTracker(Network())._calibrate(frames, camera, priors).depth
         assert depth is not None
         return depth
 
