@@ -101,7 +101,7 @@ class LinkEvidence:
 
     lag: LagEstimate
     shapes: tuple[tuple[float, float], ...]
-    """Ratios fy / fx that were tried, each with the agreement of its best camera, the best first."""
+    """Ratios fy / fx that were tried, each with the agreement of its camera, the one used first."""
     links: str
     """Links that the network sees, with the number of frames."""
 
@@ -149,11 +149,15 @@ class LinkEvidence:
 
 
 def pixel_shapes(width: int, height: int) -> tuple[float, ...]:
-    """Return the ratios fy / fx that a picture of this size may have: 1, and those of stretched sensor pictures."""
+    """Return the ratios fy / fx that a picture of this size may have, the likeliest first.
+
+    They are 1, and those that undo the stretching of the picture of a usual sensor, the least stretching first.
+    """
     shape = width / height
     if any(abs(shape / sensor - 1.0) <= _SAME_SHAPE for sensor in _SENSORS):
         return (1.0,)
-    return (1.0, *(sensor / shape for sensor in _SENSORS))
+    stretched = sorted((sensor / shape for sensor in _SENSORS), key=lambda ratio: abs(np.log(ratio)))
+    return (stretched[0], 1.0, stretched[1])
 
 
 @dataclass(frozen=True)
@@ -314,7 +318,9 @@ class LinkCalibrator:
         lag = links.find_lag(fit.scene.lens, coarse_lags, prior)
         stretched = [links.fit(_stretched(fit.scene.lens, shape), lag.frames, prior) for shape in shapes]
         stretched = [links.fit(fit.scene.lens, lag.frames, prior, len(robot.rows), MIDDLE) for fit in stretched]
-        stretched.sort(key=lambda fit: -fit.agreement)
+        # The likeliest shape stays unless another leads clearly: how fits converge changes agreements, too.
+        best = max(stretched, key=lambda fit: fit.agreement + (bounds.LEAD if fit is stretched[0] else 0.0))
+        stretched = [best, *sorted((fit for fit in stretched if fit is not best), key=lambda fit: -fit.agreement)]
         lens = stretched[0].scene.lens
         lag = links.find_lag(lens, lags, prior)
         candidate = links.candidate(lens, lag.frames)

@@ -99,7 +99,7 @@ def test_the_shape_of_the_pixels_of_a_stretched_picture_follows_from_the_contour
 
 
 @pytest.mark.parametrize(
-    ("size", "shapes"), [((320, 192), (1.0, 0.8, 192 / 180)), ((640, 480), (1.0,)), ((1280, 720), (1.0,))]
+    ("size", "shapes"), [((320, 192), (192 / 180, 1.0, 0.8)), ((640, 480), (1.0,)), ((1280, 720), (1.0,))]
 )
 def test_only_pictures_of_unusual_shape_may_be_stretched(size, shapes):
     assert pixel_shapes(*size) == pytest.approx(shapes)
