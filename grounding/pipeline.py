@@ -127,8 +127,8 @@ class PipelineResult:
 
     @property
     def anomalies_not_looked_for(self) -> tuple[AnomalyKind, ...]:
-        """Kinds of anomaly that the look of the video excludes."""
-        return NOT_LOOKED_FOR[self.domain]
+        """Kinds of anomaly that the look of the video, or a gripper other than Franka's, excludes."""
+        return NOT_LOOKED_FOR[self.domain if self.gripper is GripperKind.FRANKA else Domain.ARM]
 
 
 class GroundingPipeline:

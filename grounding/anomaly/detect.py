@@ -166,7 +166,7 @@ def gather_evidence(
     without it, from those (T,) with it.
     """
     n = len(frames)
-    familiar = domain is Domain.FAMILIAR
+    familiar = domain is Domain.FAMILIAR and gripper.linkage is None
     p_C = np.full((n, 3), np.nan)
     covariance = np.full((n, 3, 3), np.nan)
     explained = np.zeros(n)

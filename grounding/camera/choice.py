@@ -1,10 +1,8 @@
 """Choice of the camera of one video: which are tried, in which order, and what is reported if none is confirmed."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from kinebench_drake.camera import CONFIRMED, Camera, CameraSource, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
@@ -19,7 +17,6 @@ from kinebench_drake.grounding.camera.recognition import Recognition
 from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, Priors
-from kinebench_drake.grounding.tracking.view import GripperView
 from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.progress import count_steps, tell
@@ -36,9 +33,6 @@ _SURE_SHARE = 0.9
 """Share of the frames with a tracked hand from which on no other gripper is looked for."""
 _COMPARED_FRAMES = 8
 """Frames in which two networks are compared."""
-_SURER = 1.3
-"""Ratio of standard deviations of coordinates from which on a network is surer: of 25 clips with a Franka hand it was
-that in five, four of them tracked throughout or mirrored; of six with a Robotiq 2F-85 in five."""
 _SIGMAS = 2.0
 """Standard deviations of an estimated camera that its poses may be off by."""
 _MOST_RIVALS = 3
@@ -279,9 +273,9 @@ class CameraChooser:
         return self.gripper is GripperKind.AUTO and int(hand.track.tracked.sum()) < least
 
     def _may_be_robotiq(self, view: _View, hand: PipelineResult) -> bool:
-        """Return whether a hand of unfamiliar look, not tracked throughout, looks more like a Robotiq 2F-85.
+        """Return whether a hand of unfamiliar look, not tracked throughout, may be a Robotiq 2F-85.
 
-        That is if the network for it sees more of a gripper in whole images, and is surer where on it.
+        That is if the network for it sees more of a gripper in whole images.
         """
         is_sure = hand.domain is Domain.FAMILIAR or hand.track.tracked.mean() >= _SURE_SHARE
         if self.gripper is not GripperKind.AUTO or is_sure:
@@ -290,9 +284,8 @@ class CameraChooser:
         crops = {i: hand.wide[i].crop for i in chosen}
         network = self.parts.of(GripperKind.ROBOTIQ_2F85).estimator
         camera = view.camera.resized(view.frames.shape[2], view.frames.shape[1])
-        robotiq = [own for _, own in network.estimate(view.frames, camera, crops)]
-        (cells, sigma_m), (other_cells, other_sigma_m) = map(_gripper_seen, ([hand.wide[i] for i in chosen], robotiq))
-        return other_cells > cells and other_sigma_m * _SURER < sigma_m
+        robotiq = sum(int(own.gripper.sum()) for _, own in network.estimate(view.frames, camera, crops))
+        return robotiq > sum(int(hand.wide[i].gripper.sum()) for i in chosen)
 
     def _view(self, choice: CameraChoice) -> _View:
         """Return the clip as a camera shows it.
@@ -346,12 +339,6 @@ class CameraChooser:
             if other.track.tracked.mean() >= _TRACKED_SHARE:
                 return other
         return None
-
-
-def _gripper_seen(views: Sequence[GripperView]) -> tuple[int, float]:
-    """Return the number of gripper cells in views, and the median standard deviation of their coordinates [m]."""
-    sigma_m = np.concatenate([view.coordinates_sigma_m[view.gripper] for view in views])
-    return len(sigma_m), float(np.median(sigma_m)) if len(sigma_m) else np.inf
 
 
 def _with_offset(measured: PipelineResult, estimate: CameraEstimate) -> PipelineResult:

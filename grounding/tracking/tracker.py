@@ -211,7 +211,7 @@ class CadTracker:
                 poses[i],
                 finger_m=float("nan") if fit is None else fit.finger_m,
                 finger_sigma_m=float("nan") if fit is None else fit.finger_sigma_m,
-                shape=fit_shape(self._edges, hand.image, X_CP),
+                shape=None if self._gripper.linkage is not None else fit_shape(self._edges, hand.image, X_CP),
                 gap_log_likelihood=gaps.get(i),
             )
         return refined
