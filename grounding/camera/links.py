@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
@@ -104,6 +105,9 @@ class LinkEvidence:
     """Ratios fy / fx that were tried, each with the agreement of its camera, the one used first."""
     links: str
     """Links that the network sees, with the number of frames."""
+    unused: tuple[float, float] | None = None
+    """Agreement of the moving links in frames that the fit did not use, and the same with their joint angles exchanged;
+    None without such frames."""
 
     def require_agreement(self, source: str, agreement: float) -> None:
         """Check the share of the contours of the links on image edges, and its lead at the lag.
@@ -125,6 +129,13 @@ class LinkEvidence:
                 f"camera is wrong; the links seen are {self.links}"
             )
 
+        if self.unused is not None and self.unused[0] - self.unused[1] < LEAST_LEAD:
+            raise UnmeasurableError(
+                f"{source}: in frames that were not used the links agree no better with their own joint angles than "
+                f"with others ({self.unused[0]:.0%} and {self.unused[1]:.0%} of the contours of moving links on "
+                f"edges): the camera is wrong; the links seen are {self.links}"
+            )
+
     def to_json(self) -> dict[str, Json]:
         """Serialize all results."""
         return {
@@ -132,6 +143,7 @@ class LinkEvidence:
             "lag_frames": self.lag.frames,
             "lag_agreement": self.lag.agreement,
             "lag_runner_up": self.lag.runner_up,
+            "unused_frames": None if self.unused is None else list(self.unused),
             "fy_over_fx": [{"ratio": ratio, "agreement": agreement} for ratio, agreement in self.shapes],
         }
 
@@ -330,8 +342,28 @@ class LinkCalibrator:
         if not _is_usual(estimate.camera):
             estimate = replace(estimate, agreement=0.0)
         ratios = [(fit.scene.lens.intrinsics.fy / fit.scene.lens.intrinsics.fx, fit.agreement) for fit in stretched]
-        evidence = LinkEvidence(lag=lag, shapes=tuple(ratios), links=describe_links(robot))
+        evidence = LinkEvidence(
+            lag=lag,
+            shapes=tuple(ratios),
+            links=describe_links(robot),
+            unused=self._agree_unused(frames, states.q_at_lag(lag.frames), robot.rows, estimate.scene.lens),
+        )
         return replace(estimate, frames=links.robot.rows[estimate.frames]), evidence
+
+    def _agree_unused(self, frames: Frames, q: Array, used: NDArray[np.intp], lens: Lens) -> tuple[float, float] | None:
+        """Return agreements in unused frames, joint angles `q` (T, 7) theirs and exchanged; None without any."""
+        rows = np.setdiff1d(np.flatnonzero(finite_rows(q)), used)
+        if len(rows) < MIN_FRAMES:
+            return None
+        rows = rows[evenly(len(rows), _COMPARED_FRAMES)]
+        images = self._fitter.images(frames[rows], lens.intrinsics)
+        images = replace(images, left_out=(*GRIPPER, RobotPart.LINK0), points=FIT_POINTS)
+
+        def agree(others: NDArray[np.intp]) -> float:
+            shares = images.agreement(ArmScene(lens=lens, q=q[others], finger_m=np.zeros(len(others))))
+            return float(shares[shares > 0].mean()) if shares.any() else 0.0
+
+        return agree(rows), agree(np.roll(rows, len(rows) // 2))
 
 
 def _is_usual(camera: Camera) -> bool:

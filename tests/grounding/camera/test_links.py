@@ -9,7 +9,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import invert, pose_difference
 from kinebench_drake.grounding.camera.detections import ArmDetections
-from kinebench_drake.grounding.camera.lens import centred_camera
+from kinebench_drake.grounding.camera.lens import Lens, centred_camera
 from kinebench_drake.grounding.camera.links import LagEstimate, LinkCalibrator, LinkEvidence, pixel_shapes
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.models.panda.cad import PartCaster, franka_hand, link_meshes
@@ -84,6 +84,14 @@ def test_links_alone_determine_camera_and_focal_length(solution, true):
     assert not np.isin(estimate.part, [part for part in RobotPart if part not in ARM]).any()
 
 
+def test_frames_that_the_fit_did_not_use_agree_best_with_their_own_joint_angles(model, film, true):
+    q, frames = film
+    links = LinkCalibrator(None)
+    own, exchanged = links._agree_unused(frames, q, np.arange(6), Lens.of_camera(true))
+    assert own > exchanged + 0.2
+    assert links._agree_unused(frames, q, np.arange(T), Lens.of_camera(true)) is None
+
+
 def test_joint_angles_that_are_two_frames_late_are_noticed(solution):
     _, evidence = solution
     assert evidence.lag.frames == LAG
@@ -116,11 +124,15 @@ def test_joint_angles_at_a_lag_are_those_of_later_rows_and_unknown_beyond_the_en
 
 
 @pytest.mark.parametrize(
-    ("agreement", "runner_up", "said"),
-    [(0.3, 0.1, "30% of their contours do.*the links seen are link5 in 3"), (0.6, 0.49, "as much at other times")],
+    ("agreement", "runner_up", "unused", "said"),
+    [
+        (0.3, 0.1, None, "30% of their contours do.*the links seen are link5 in 3"),
+        (0.6, 0.49, None, "as much at other times"),
+        (0.6, 0.1, (0.2, 0.19), "no better with their own joint angles"),
+    ],
 )
-def test_too_little_evidence_is_refused_with_the_links_in_view(agreement, runner_up, said):
+def test_too_little_evidence_is_refused_with_the_links_in_view(agreement, runner_up, unused, said):
     lag = LagEstimate(frames=0.0, agreement=0.5, runner_up=runner_up)
-    evidence = LinkEvidence(lag=lag, shapes=((1.0, 0.5),), links="link5 in 3 of 9 frames")
+    evidence = LinkEvidence(lag=lag, shapes=((1.0, 0.5),), links="link5 in 3 of 9 frames", unused=unused)
     with pytest.raises(UnmeasurableError, match=said):
         evidence.require_agreement("joints.csv", agreement)
