@@ -129,7 +129,7 @@ class LinkEvidence:
                 f"camera is wrong; the links seen are {self.links}"
             )
 
-        if self.unused is not None and self.unused[0] - self.unused[1] < LEAST_LEAD:
+        if self.unused is not None and self.unused[0] - self.unused[1] < bounds.LEAD:
             raise UnmeasurableError(
                 f"{source}: in frames that were not used the links agree no better with their own joint angles than "
                 f"with others ({self.unused[0]:.0%} and {self.unused[1]:.0%} of the contours of moving links on "
