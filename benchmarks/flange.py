@@ -1,40 +1,35 @@
-"""Tracking of the flange with the hand left out, and with boxes or a Robotiq 2F-85 in its place; its confidence."""
+"""Tracking of the flange with the hand left out, and with boxes in its place; its confidence."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import trimesh
-from pydrake.geometry import Box, Mesh
+from pydrake.geometry import Box
 from typing_extensions import override
 
 from benchmarks.markdown import table
 from benchmarks.perception.clip import TruthClipFile, find_clips
 from benchmarks.perception.store import MeasurementStore, fingerprint
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_z
+from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
 from kinebench_drake.grounding import bounds
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.tracking.pose import CALIBRATION, load_confidence, save_confidence
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.gripper import PARTS
-from kinebench_drake.models.panda.description import GRIPPER, HAND_LINK, LINK_OF, GripperKind
+from kinebench_drake.models.panda.description import GRIPPER, LINK_OF, GripperKind
 from kinebench_drake.models.perception.network import ARM_WEIGHTS
-from kinebench_drake.models.robotiq.cad import robotiq_2f85
 from kinebench_drake.track import Domain
 from training.augment import degrade
 from training.calibration import MeasuredPoses, fit_confidence
-from training.layout import Surface, random_surface
+from training.layout import random_surface
 from training.vtk import VtkScene
 
 _Video = tuple[Frames, Camera, Array]
 """Frames (T, H, W, 3), camera and true poses (T, 4, 4) of panda_hand in its frame [m]."""
 FRAMES = 16
 """Frames of a video that are measured, from its middle."""
-_DARK = 0.7
-"""Share of scenes whose Robotiq gripper is dark, as it is sold."""
 _HALVES = ((0.05, 0.08, 0.05), (0.012, 0.02, 0.06), (0.012, 0.02, 0.06))
 """Half sides of palm and fingers [m]."""
 _CENTRES = ((0.0, 0.0, 0.05), (0.0, 0.06, 0.15), (0.0, -0.06, 0.15))
@@ -66,44 +61,20 @@ class BoxGripperScene(_HandlessScene):
         super()._move({**X_BL, **{f"box{k}": X_BL[LINK_OF[GRIPPER[0]]] for k in range(len(GRIPPER))}}, X_BO, X_BP)
 
 
-class RobotiqScene(_HandlessScene):
-    """Random scene of a Panda with a Robotiq 2F-85 at one opening, turned by eighths, behind an adapter or none."""
-
-    @override
-    def _add_robot(self) -> None:
-        super()._add_robot()
-        rng = self._rng
-        file = self._folder / "robotiq.obj"
-        gripper = robotiq_2f85()
-        X_HB = gripper.open(np.tile(np.eye(4), (PARTS, 1, 1)), rng.uniform(0.0, gripper.max_finger_m))
-        bodies = [mesh.copy().apply_transform(X_HB[body]) for body, mesh in gripper.meshes.items()]
-        trimesh.util.concatenate(bodies).export(file, include_normals=True)
-        X_HR = make_pose(rotation_z(int(rng.integers(8)) * np.pi / 4), [0.0, 0.0, rng.uniform(0.0, 0.014)])
-        look = Surface(colour=rng.uniform(0.02, 0.25) + rng.uniform(0.0, 0.05, 3), roughness=0.5)
-        self._add("robotiq", Mesh(file), look if rng.random() < _DARK else random_surface(rng), X=X_HR)
-
-    @override
-    def _move(self, X_BL: Mapping[str, Array], X_BO: Sequence[Array], X_BP: Array) -> None:
-        super()._move({**X_BL, "robotiq": X_BL[HAND_LINK]}, X_BO, X_BP)
-
-
 def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -> Mapping[str, MeasuredPoses]:
-    """Track the flange in demonstrations and in random scenes with a gripper of boxes, and with a Robotiq 2F-85.
+    """Track the flange in demonstrations and in random scenes with a gripper of boxes.
 
     Args:
         demos: folder of `suite demos`; of its Franka hand nothing is used.
         out: output folder; finished videos are kept.
-        count: demonstrations, and videos with boxes; of the Robotiq 2F-85, which takes several times as long, a quarter
-            as many, also by the links alone. Each video is measured as it is, and degraded.
+        count: demonstrations, and videos with boxes. Each video is measured as it is, and degraded.
         log: receives a line per video.
     """
     make_folder(out)
     base = fingerprint(modules=["kinebench_drake.grounding.tracking.flange_tracker"], files=[ARM_WEIGHTS])
     store = MeasurementStore(out / "flange.jsonl", MeasuredPoses)
-    by_links, by_gripper = (
-        GroundingPipeline.create(gripper=kind) for kind in (GripperKind.NONE, GripperKind.ROBOTIQ_2F85)
-    )
-    videos: list[tuple[str, Callable[[], _Video], GroundingPipeline, int]] = []
+    pipeline = GroundingPipeline.create(gripper=GripperKind.NONE)
+    videos: list[tuple[str, Callable[[], _Video]]] = []
     clips = find_clips(demos)
     for file in clips[:: max(1, len(clips) // count)][:count]:
 
@@ -111,21 +82,16 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
             clip = file.load()
             return read_video(file.video).frames, clip.camera, clip.X_CH
 
-        videos.append((f"demos/{file.id}", of_demo, by_links, len(videos)))
-    for kind, scene, pipeline, first, scenes in (
-        ("boxes", BoxGripperScene, by_links, len(videos), count),
-        ("robotiq by links", RobotiqScene, by_links, 0, -(-count // 4)),
-        ("robotiq", RobotiqScene, by_gripper, 0, -(-count // 4)),
-    ):
-        for seed in range(scenes):
+        videos.append((f"demos/{file.id}", of_demo))
+    for seed in range(count):
 
-            def of_scene(seed: int = seed, scene: type[VtkScene] = scene) -> _Video:
-                video = scene(np.random.default_rng([88, seed])).video()
-                return video.frames, video.camera, invert(video.camera.X_BC) @ video.X_BH
+        def of_scene(seed: int = seed) -> _Video:
+            video = BoxGripperScene(np.random.default_rng([88, seed])).video()
+            return video.frames, video.camera, invert(video.camera.X_BC) @ video.X_BH
 
-            videos.append((f"{kind}/{seed:03d}", of_scene, pipeline, first + seed))
+        videos.append((f"boxes/{seed:03d}", of_scene))
     measured = {}
-    for name, load, pipeline, noise in videos:
+    for noise, (name, load) in enumerate(videos):
         for degraded in (False, True):
             id = f"degraded {name}" if degraded else name
             key = f"{base}-{id}"
@@ -142,9 +108,7 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
 
 def summarize(measured: Mapping[str, MeasuredPoses], out: Path) -> str:
     """Write flange.md into a folder, a table of errors with the shipped confidence, and return it."""
-    kinds = [
-        f"{look}{name}" for name in ("demos", "boxes", "robotiq by links", "robotiq") for look in ("", "degraded ")
-    ]
+    kinds = [f"{look}{name}" for name in ("demos", "boxes") for look in ("", "degraded ")]
     rows = [_row(kind, [m for id, m in measured.items() if id.startswith(f"{kind}/")]) for kind in kinds]
     head = ("videos", "frames", "tracked", "right among tracked", "median [mm]", "95 % [mm]", "median [degrees]")
     text = "\n".join(table(head, rows)) + "\n"
@@ -153,9 +117,8 @@ def summarize(measured: Mapping[str, MeasuredPoses], out: Path) -> str:
 
 
 def write_confidence(measured: Mapping[str, MeasuredPoses]) -> None:
-    """Fit the confidence of the arm alone, without the Robotiq 2F-85, and write it into the shipped calibration."""
-    fitted = [poses for id, poses in measured.items() if "robotiq" not in id]
-    save_confidence({**load_confidence(), Domain.ARM: fit_confidence(fitted)}, CALIBRATION)
+    """Fit the confidence of the arm alone, and write it into the shipped calibration."""
+    save_confidence({**load_confidence(), Domain.ARM: fit_confidence(list(measured.values()))}, CALIBRATION)
 
 
 def _measure(

@@ -243,7 +243,7 @@ def gate(jobs: int) -> None:
 )
 @click.option("--calibrate", is_flag=True, help="Fit the confidence of the arm alone and write it into the package.")
 def flange(demos: Path, out: Path, count: int, calibrate: bool) -> None:
-    """Track the flange in DEMOS (of `suite demos`) without the hand, and in scenes with boxes or a Robotiq 2F-85.
+    """Track the flange in DEMOS (of `suite demos`) without the hand, and in scenes with boxes.
 
     The same command resumes.
     """
