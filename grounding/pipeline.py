@@ -216,6 +216,7 @@ class GroundingPipeline:
             finger_width_m=_gripper_width(poses, tracked, priors, tracking.gripper),
             offset_m=bounds.GOOD_M * (not raw.from_prior.all()),
             offset_rad=bounds.GOOD_RAD * (not raw.from_prior.all()),
+            turn_is_sure=not tracking.gripper.is_symmetric,
         )
         return PipelineResult(
             track=track,

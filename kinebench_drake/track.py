@@ -38,6 +38,8 @@ class GripperTrack:
     """Position error that neighbouring tracked poses may share, beyond their noise: that of an estimate [m]."""
     offset_rad: float = 0.0
     """Rotation error that they may share [rad]."""
+    turn_is_sure: bool = True
+    """Whether the rotation about the gripper's own axis (z of panda_hand_tcp) is measured as well as the rest."""
 
     def __post_init__(self) -> None:
         """Check shapes against the number of frames."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, rotation_exp, rotation_z
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD
 from kinebench_drake.kinematics.newton import ROTATION_ARM_M
@@ -57,7 +57,7 @@ from kinebench_drake.metrics.reach import (
 )
 from kinebench_drake.metrics.smoothness import measure_smoothness, stands_still
 from kinebench_drake.results.direction import BOUND
-from kinebench_drake.segments import spread
+from kinebench_drake.segments import finite_rows, spread
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 from kinebench_drake.violation import Violation, ViolationKind
 
@@ -83,6 +83,9 @@ TUBE_M = 0.005
 """Least radius of the tube about a track in which a feasible trajectory is searched [m]; noise widens it."""
 TUBE_SIGMAS = 4.5
 """Least radius of that tube in standard deviations of the noise: white noise leaves it in one track of 300."""
+_TURNS_RAD = np.deg2rad([0.0, 45.0, -45.0, 90.0])
+"""Turns of the first pose that are tried where that about the gripper's own axis is not sure; half a turn more is the
+same to the last joint within its limits [rad]."""
 _CONTACTS = {
     ViolationKind.SELF_COLLISION: IkStatus.SELF_COLLISION,
     ViolationKind.TABLE_COLLISION: IkStatus.TABLE_COLLISION,
@@ -104,7 +107,23 @@ class TrackJudge:
         self._collision = CollisionModel(plant, table_height_m=table_height_m)
 
     def judge_poses(self, track: GripperTrack) -> KinematicResult:
-        """Judge a track of poses: infeasible only if no joint path follows it."""
+        """Judge a track of poses: infeasible only if no joint path follows it.
+
+        Where the turn of the gripper about its own axis is not sure, only what no turn avoids is a violation.
+        """
+        path, checks = self._solve(track)
+        violations, open_kinds = self._settle(path, self._pose_violations(path, checks))
+        if violations and not track.turn_is_sure:
+            violations, open_kinds = self._avoid_by_turning(track, violations)
+        coverage = cover_poses(self._plant, track, path.joints, path.reached)
+        # Where the track is incomplete, the path, which other lost frames may change, must not decide.
+        asked = track.tracked & ~(path.joints.ok & coverage.complete)
+        free = find_free(self._plant, self._collision, track, asked, contact_tolerance(path.noise))
+        measured = self._measure(path, checks, coverage, free, *bridge_gaps(track), X_BG=track.X_BG)
+        return self._result(measured, violations, open_kinds)
+
+    def _solve(self, track: GripperTrack) -> tuple[JointPath, LimitChecks]:
+        """Return the joint path that follows a track of poses, and its limits checked."""
         noise, assumed = _noise(track)
         joints = solve_track(
             self._plant,
@@ -117,14 +136,19 @@ class TrackJudge:
         reached = _reached(joints)
         J = spread(self._plant.chain.jacobians(joints.q[reached]), reached, len(reached))
         path = self._path(track, joints, propagate_noise(J, noise), noise, assumed)
-        checks = self._check_poses(path)
-        violations, open_kinds = self._settle(path, self._pose_violations(path, checks))
-        coverage = cover_poses(self._plant, track, joints, reached)
-        # Where the track is incomplete, the path, which other lost frames may change, must not decide.
-        asked = track.tracked & ~(joints.ok & coverage.complete)
-        free = find_free(self._plant, self._collision, track, asked, contact_tolerance(noise))
-        measured = self._measure(path, checks, coverage, free, *bridge_gaps(track), X_BG=track.X_BG)
-        return self._result(measured, violations, open_kinds)
+        return path, self._check_poses(path)
+
+    def _avoid_by_turning(
+        self, track: GripperTrack, violations: list[Violation]
+    ) -> tuple[list[Violation], tuple[ViolationKind, ...]]:
+        """Return the violations of the kinds that remain however the gripper is turned, and the kinds that do not."""
+        kinds = {violation.kind for violation in violations}
+        remaining = set(kinds)
+        for turn_rad in _TURNS_RAD:
+            path, checks = self._solve(replace(track, X_BG=least_turn(track.X_BG, turn_rad)))
+            remaining &= {violation.kind for violation in self._pose_violations(path, checks)}
+        certain = [violation for violation in violations if violation.kind in remaining]
+        return certain, () if certain else tuple(kind for kind in ViolationKind if kind in kinds)
 
     def judge_joints(self, t_s: Array, q: Array, finger_width_m: Array) -> KinematicResult:
         """Judge joint angles as recorded, not the best path to the same poses.
@@ -314,7 +338,7 @@ class TrackJudge:
         plant = self._plant
         track = measured.path.track
         metrics, reasons = kinematic_metrics(plant, measured)
-        undecided = _undecided(track, measured.checks) or _describe_open(open_kinds)
+        undecided = _undecided(track, measured.checks) or _describe_open(open_kinds, track)
         if not violations and undecided is not None:
             reasons["feasible"] = undecided
         period, why = feasible_period(track.t_s, metrics["slowdown_min"], violations, undecided)
@@ -343,10 +367,33 @@ def _reached(joints: JointTrack) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(joints.q).all(axis=-1) & near)
 
 
-def _describe_open(kinds: tuple[ViolationKind, ...]) -> str | None:
+def least_turn(X: Array, turn_rad: float) -> Array:
+    """Return poses (T, 4, 4) of the same positions and z axes that do not turn about z from one to the next.
+
+    Each rotation is the one before, turned the shortest way that takes one z axis to the other (parallel transport).
+
+    Args:
+        X: (T, 4, 4) poses; NaN where there is none, and so in the result.
+        turn_rad: turn about z of the first pose [rad].
+    """
+    result = X.copy()
+    last: Array | None = None
+    for i in np.flatnonzero(finite_rows(X.reshape(len(X), 16))):
+        if last is None:
+            last = X[i, :3, :3] @ rotation_z(turn_rad)
+        axis = np.cross(last[:, 2], X[i, :3, 2])
+        length = float(np.linalg.norm(axis))
+        angle = np.arctan2(length, float(last[:, 2] @ X[i, :3, 2]))
+        last = rotation_exp(axis * (angle / length if length > 0.0 else 0.0)) @ last
+        result[i, :3, :3] = last
+    return result
+
+
+def _describe_open(kinds: tuple[ViolationKind, ...], track: GripperTrack) -> str | None:
     """Return why a verdict is open that depends on limits of some kinds; None without any."""
     names = ", ".join(kind.value for kind in kinds)
-    return f"nearer to a limit than the estimated poses are exact: {names}" if kinds else None
+    turn = "" if track.turn_is_sure else " (the turn about the gripper's own axis is not sure)"
+    return f"nearer to a limit than the estimated poses are exact{turn}: {names}" if kinds else None
 
 
 def _noise(track: GripperTrack) -> tuple[TrackNoise, bool]:

@@ -262,6 +262,7 @@ def path_details(plant: ArmPlant, measured: PathMeasurements) -> dict[str, Json]
             "assumed": path.noise_assumed,
             "offset_m": path.noise.offset_m,
             "offset_rad": path.noise.offset_rad,
+            **({} if path.track.turn_is_sure else {"turn_is_sure": False}),
             "fit_residual_rad": float(np.sqrt(np.mean(residual**2))) if residual.size else None,
             "allowance_sigmas": checks.z,
         },

@@ -48,6 +48,8 @@ class NoiseEstimate:
     """Error that all positions share [m]."""
     offset_rad: float | None = None
     """Error that all orientations share [rad]."""
+    turn_is_sure: bool = True
+    """False if the turn about the gripper's own axis is not measured as well as the rest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

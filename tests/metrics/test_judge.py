@@ -7,10 +7,10 @@ import pytest
 from kinebench_drake.errors import InputError
 from kinebench_drake.formats.trajectories.check import check
 from kinebench_drake.formats.trajectories.trajectory import RawTrajectory
-from kinebench_drake.geometry import Array, make_pose, rotation_exp
+from kinebench_drake.geometry import Array, make_pose, rotation_exp, rotation_log, rotation_z
 from kinebench_drake.kinematics.manipulability import compute_manipulability
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.metrics.judge import TrackJudge
+from kinebench_drake.metrics.judge import TrackJudge, least_turn
 from kinebench_drake.metrics.kinematic_result import KinematicResult
 from kinebench_drake.models.panda.description import rest_q
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS
@@ -214,6 +214,38 @@ def test_a_pose_track_whose_hand_jumps_is_discontinuous_and_too_fast(plant: ArmP
     assert _kinds(result) >= {ViolationKind.VELOCITY, ViolationKind.DISCONTINUITY}
     [jump] = [v for v in result.violations if v.kind is ViolationKind.DISCONTINUITY]
     assert (jump.frame_start, jump.frame_end) == (19, 20)
+
+
+def test_a_jump_of_a_turn_that_is_not_sure_leaves_the_verdict_open(plant: ArmPlant, judge: TrackJudge) -> None:
+    track = _poses(plant, _gentle())
+    X = track.X_BG.copy()
+    X[20:, :3, :3] = X[20:, :3, :3] @ rotation_z(1.5)
+    turned = replace(track, X_BG=X, offset_m=0.01)
+    assert judge.judge_poses(turned).feasible is False
+    result = judge.judge_poses(replace(turned, turn_is_sure=False))
+    assert (result.feasible, result.violations) == (None, ())
+    assert "the turn about the gripper's own axis is not sure" in result.reasons["feasible"]
+
+
+def test_a_jump_of_the_position_counts_however_the_gripper_is_turned(plant: ArmPlant, judge: TrackJudge) -> None:
+    q = _gentle()
+    q[20:, 0] += 2.0
+    result = judge.judge_poses(replace(_poses(plant, q), turn_is_sure=False))
+    assert ViolationKind.DISCONTINUITY in _kinds(result)
+
+
+def test_the_least_turn_keeps_positions_and_axes_and_turns_about_none(plant: ArmPlant) -> None:
+    X = plant.forward_path(_gentle())
+    X[3] = np.nan
+    steady = least_turn(X, 0.7)
+    assert np.array_equal(np.isnan(steady), np.isnan(X))
+    steady = np.delete(steady, 3, axis=0)
+    X = np.delete(X, 3, axis=0)
+    assert steady[:, :3, 2:] == pytest.approx(X[:, :3, 2:], abs=1e-9)
+    assert steady[0, :3, :3] == pytest.approx(X[0, :3, :3] @ rotation_z(0.7), abs=1e-12)
+    turns = rotation_log(steady[1:, :3, :3] @ steady[:-1, :3, :3].swapaxes(1, 2))
+    across = np.einsum("ni,ni->n", turns, steady[:-1, :3, 2])
+    assert across == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_gripper_pushed_into_the_table_collides_by_its_depth(plant: ArmPlant, judge: TrackJudge) -> None:
