@@ -26,8 +26,16 @@ from kinebench_drake.grounding.camera.detections import (
     track_all,
 )
 from kinebench_drake.grounding.camera.estimate import FRAMES, CameraEstimator
-from kinebench_drake.grounding.camera.lens import USUAL_FOV_DEG, Lens, centred_camera, focal_px, solve_pnp, with_focal
-from kinebench_drake.grounding.camera.links import LinkCalibrator, LinkEvidence, pixel_shapes
+from kinebench_drake.grounding.camera.lens import (
+    USUAL_FOV_DEG,
+    Lens,
+    centred_camera,
+    focal_px,
+    pixel_shapes,
+    solve_pnp,
+    with_focal,
+)
+from kinebench_drake.grounding.camera.links import LinkCalibrator, LinkEvidence
 from kinebench_drake.grounding.camera.states import (
     RobotStates,
     make_posture_states,

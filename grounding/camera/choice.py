@@ -13,6 +13,7 @@ from kinebench_drake.grounding.camera.check import check_named, find_reading
 from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.evidence import BASE_UNKNOWN, BetterReading, CameraChoice, PictureReading
 from kinebench_drake.grounding.camera.framing import FIRST_FRAME_ADVICE, Framing, apply_framing, find_framing
+from kinebench_drake.grounding.camera.lens import pixel_shapes
 from kinebench_drake.grounding.camera.recognition import Recognition
 from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.grounding.pipeline import PipelineResult
@@ -35,6 +36,8 @@ _COMPARED_FRAMES = 8
 """Frames in which two networks are compared."""
 _SIGMAS = 2.0
 """Standard deviations of an estimated camera that its poses may be off by."""
+_MOST_STRETCH = 0.15
+"""Greatest |fy / fx - 1| of a picture that is tried as stretched: that of 16:9 to 3:2 and to 5:3 is less."""
 _MOST_RIVALS = 3
 """Cameras beside the estimated one under which a track is judged: each is another grounding."""
 PriorSource = Callable[[Camera], Priors]
@@ -190,7 +193,7 @@ class CameraChooser:
         estimate: CameraEstimate | None = None
         tell(f"estimating the camera from the arm, which takes minutes{self._advice}")
         try:
-            estimate = self.parts.of(self._tracked).cameras.estimate(self.clip.frames, usual)
+            estimate = self._estimate(usual)
             doubt = estimate.misfit
         except UnmeasurableError as error:
             doubt = str(error)
@@ -223,6 +226,18 @@ class CameraChooser:
         reason = None if doubt is None else f"{BASE_UNKNOWN}: no camera is named, {against}, and {doubt}"
         choice = replace(choice, source=source, agreement=agreement, better_reading=reading, reason=reason)
         return view.result(measured, choice, possible)
+
+    def _estimate(self, usual: Camera) -> CameraEstimate:
+        """Return the estimated camera; of a picture that may have been stretched, that of the better shape of a pixel.
+
+        Raises:
+            UnmeasurableError: hand and arm are seen in too few frames.
+        """
+        estimator = self.parts.of(self._tracked).cameras
+        shapes = [ratio for ratio in pixel_shapes(usual.width, usual.height) if abs(ratio - 1.0) <= _MOST_STRETCH]
+        cameras = [replace(usual, fy=usual.fx * ratio) for ratio in shapes]
+        estimates = [estimator.estimate(self.clip.frames, camera) for camera in cameras]
+        return max(estimates, key=lambda estimate: estimate.support)
 
     def _ground_rival(self, choice: CameraChoice, camera: Camera, estimate: CameraEstimate) -> GripperTrack | None:
         """Return the track with a camera that may be right instead of the estimate; None if it is not confirmed."""

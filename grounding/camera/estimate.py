@@ -45,7 +45,7 @@ _ASKEW_LOSS = 0.2
 """Loss of the base's agreement from which on lines along its axes are those of something askew."""
 _Ranked = TypeVar("_Ranked")
 
-_FOV_DEG = (30.0, 42.0, 55.0, 72.0)
+_FOV_DEG = (30.0, 42.0, 55.0, 72.0, 104.0)
 """Fields of view along the longer side at which the search starts [degrees]."""
 JOINT_SIGMA_RAD = 0.01
 """Standard deviation of known joint angles [rad]: offsets of the joints, and clocks."""

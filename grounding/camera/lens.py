@@ -13,6 +13,10 @@ UNKNOWNS = 9
 point [px]."""
 USUAL_FOV_DEG = 55.0
 """Field of view along the longer side of a camera of which nothing is known [degrees]."""
+_SENSORS = (4 / 3, 16 / 9)
+"""Shapes of the pictures of usual sensors, width over height: others may have been stretched."""
+_SAME_SHAPE = 0.01
+"""Relative difference within which two shapes are the same."""
 _SHOULDER_M = 0.333
 """Height of the shoulder above the base [m]."""
 _CONSENSUS_PX = 6.0
@@ -151,3 +155,15 @@ def with_focal(camera: Camera, fx: float) -> Camera:
 def centred_camera(width: int, height: int, focal: float) -> Camera:
     """Return a camera with its principal point in the middle, at the place of the benchmark camera."""
     return replace(benchmark_camera(), width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+
+
+def pixel_shapes(width: int, height: int) -> tuple[float, ...]:
+    """Return the ratios fy / fx that a picture of this size may have, the likeliest first.
+
+    They are 1, and those that undo the stretching of the picture of a usual sensor, the least stretching first.
+    """
+    shape = width / height
+    if any(abs(shape / sensor - 1.0) <= _SAME_SHAPE for sensor in _SENSORS):
+        return (1.0,)
+    stretched = sorted((sensor / shape for sensor in _SENSORS), key=lambda ratio: abs(np.log(ratio)))
+    return (stretched[0], 1.0, stretched[1])

@@ -49,10 +49,6 @@ MAX_LAG = 3
 """Greatest lag of joint angles that is tried [frames]."""
 _FRAMES_A_LAG = 8
 """Frames of a video for each frame of lag that is tried, so that enough remain."""
-_SENSORS = (4 / 3, 16 / 9)
-"""Shapes of the pictures of usual sensors, width over height: others may have been stretched."""
-_SAME_SHAPE = 0.01
-"""Relative difference within which two shapes are the same."""
 _FOV_DEG = (45.0, 60.0, 75.0, 90.0, 105.0)
 """Fields of view along the longer side at which the search starts [degrees]."""
 _USUAL_FOCAL = (0.25, 3.0)
@@ -158,18 +154,6 @@ class LinkEvidence:
             f"joint angles: {when} ({lag.agreement:.0%} of the contours of moving links on edges, {others})",
             f"fy / fx: {', against '.join(shapes)}",
         ]
-
-
-def pixel_shapes(width: int, height: int) -> tuple[float, ...]:
-    """Return the ratios fy / fx that a picture of this size may have, the likeliest first.
-
-    They are 1, and those that undo the stretching of the picture of a usual sensor, the least stretching first.
-    """
-    shape = width / height
-    if any(abs(shape / sensor - 1.0) <= _SAME_SHAPE for sensor in _SENSORS):
-        return (1.0,)
-    stretched = sorted((sensor / shape for sensor in _SENSORS), key=lambda ratio: abs(np.log(ratio)))
-    return (stretched[0], 1.0, stretched[1])
 
 
 @dataclass(frozen=True)

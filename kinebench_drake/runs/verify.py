@@ -155,8 +155,12 @@ def _judge_file(row: SampleRow, file: TrackFile, tools: Resources) -> "Kinematic
     if row.judged == "joints":
         return tools.judge_joints(file.track.t_s, file.q, file.track.finger_width_m)
     noise = read_details(row).noise
-    errors = {"offset_m": noise.offset_m or 0.0, "offset_rad": noise.offset_rad or 0.0}
-    track = replace(file.track, **errors, turn_is_sure=noise.turn_is_sure)
+    track = replace(
+        file.track,
+        offset_m=noise.offset_m or 0.0,
+        offset_rad=noise.offset_rad or 0.0,
+        turn_is_sure=noise.turn_is_sure,
+    )
     return tools.judge(track, row.table_height_m)
 
 

@@ -9,8 +9,8 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import invert, pose_difference
 from kinebench_drake.grounding.camera.detections import ArmDetections
-from kinebench_drake.grounding.camera.lens import Lens, centred_camera
-from kinebench_drake.grounding.camera.links import LagEstimate, LinkCalibrator, LinkEvidence, pixel_shapes
+from kinebench_drake.grounding.camera.lens import Lens, centred_camera, pixel_shapes
+from kinebench_drake.grounding.camera.links import LagEstimate, LinkCalibrator, LinkEvidence
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.models.panda.cad import PartCaster, franka_hand, link_meshes
 from kinebench_drake.models.panda.description import ARM, RobotPart
