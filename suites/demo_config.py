@@ -24,7 +24,6 @@ class FormatKind(Enum):
 
     MP4 = "mp4"
     LEROBOT = "lerobot-v3"
-    MANISKILL = "maniskill-h5"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,7 +114,7 @@ class DemoConfig(DatasetConfig):
             "variant": self.variant.value,
             "first_seed": split.seeds[0] + self.seed,
             "shard": None if self.shard is None else str(self.shard),
-            **(video if self.kind in (FormatKind.MP4, FormatKind.LEROBOT) else {}),
+            **video,
         }
 
     def request(self) -> dict[str, Any]:

@@ -7,20 +7,18 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from typing_extensions import override
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.formats import manifest, maniskill, videofolder
+from kinebench_drake.formats import manifest, videofolder
 from kinebench_drake.formats.camerafile import CAMERA_NAME, save_camera
 from kinebench_drake.formats.lerobot import writer as lerobot
 from kinebench_drake.geometry import from_quaternion, invert
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.jsonl import write_lines
 from kinebench_drake.io.npz import write_arrays
-from kinebench_drake.results.aggregate import group_by
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
-from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.demo_config import CLIP_STEPS, DemoConfig, FormatKind, RenderOptions
 from kinebench_drake.suites.families.registry import TASKS
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video
@@ -66,11 +64,6 @@ class Record:
 
 class DemoFormat(ABC):
     """Writer of demonstrations in one format."""
-
-    simulator: type[Simulator] = Simulator
-    """Simulator that provides the content."""
-    renders = True
-    """True if the simulator must render."""
 
     @abstractmethod
     def part_files(self, folder: Path, record: Record) -> list[Path]:
@@ -177,78 +170,9 @@ class LeRobot(DemoFormat):
         return lerobot.join_parts(config.out, parts, prompts, config.options.fps, camera, size=size)
 
 
-class RecordingSimulator(Simulator):
-    """Simulator that records ManiSkill's state and the success after each step."""
-
-    @override
-    def reset(self, episode: Episode) -> None:
-        super().reset(episode)
-        self.states = [self.simulation_state()]
-        self.successes: list[bool] = []
-
-    @override
-    def step(self, q: ArrayLike, finger_width_m: float) -> None:
-        super().step(q, finger_width_m)
-        self.states.append(self.simulation_state())
-        self.successes.append(self.outcome().success)
-
-
-class ManiSkill(DemoFormat):
-    """ManiSkill trajectories: TASK.h5 with a group per demonstration, TASK.json with their description."""
-
-    simulator = RecordingSimulator
-    renders = False
-
-    @override
-    def part_files(self, folder: Path, record: Record) -> list[Path]:
-        return [folder / PARTS / f"{record.id}.npz"]
-
-    @override
-    def write_part(self, folder: Path, simulator: Simulator, rollout: Rollout, options: RenderOptions) -> None:
-        recorder = cast(RecordingSimulator, simulator)
-        controls = rollout.controls
-        maniskill.write_part(
-            folder / PARTS / f"{rollout.episode.id}.npz",
-            np.stack([Simulator.action(row[:7], row[7]) for row in controls]),
-            recorder.states,
-            recorder.successes,
-            truncated=len(controls) == _max_steps(rollout.episode.task),
-        )
-
-    @override
-    def finish(self, config: DemoConfig, records: Sequence[Record]) -> list[Path]:
-        from kinebench_drake.suites.scene.environment import environment_id
-
-        tasks = group_by(records, lambda record: record.task)
-        for task, own in tasks.items():
-            environment = {
-                "env_id": environment_id(task),
-                "env_kwargs": {
-                    "obs_mode": "none",
-                    "reward_mode": "none",
-                    "control_mode": maniskill.CONTROL_MODE,
-                    "robot_uids": "panda",
-                    "sim_backend": "physx_cpu",
-                    "pool": config.suite.splits[config.split].pool.value,
-                    "variant": config.variant.value,
-                },
-                "max_episode_steps": _max_steps(task),
-                "control_freq": round(1.0 / CONTROL_PERIOD_S),
-            }
-            parts = [part for record in own for part in self.part_files(config.out, record)]
-            episodes = [{"seed": record.seed, "id": record.id, "prompt": record.prompt} for record in own]
-            maniskill.join_parts(config.out / f"{task}.h5", parts, episodes, environment)
-        return [config.out / f"{task}.h5" for task in tasks]
-
-
-def _max_steps(task: str) -> int:
-    return CLIP_STEPS * TASKS[task].card.clips
-
-
 FORMATS: dict[FormatKind, DemoFormat] = {
     FormatKind.MP4: VideoFolder(),
     FormatKind.LEROBOT: LeRobot(),
-    FormatKind.MANISKILL: ManiSkill(),
 }
 
 

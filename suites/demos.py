@@ -188,8 +188,7 @@ def _run_attempts(
     """Make attempts until each task has its demonstrations or is given up."""
     completed = sum(record.success for record in _counted(config, records))
     observer.start(config.wanted * len(config.tasks), completed)
-    form = FORMATS[config.kind]
-    simulators = SimulatorCache(form.simulator, config.options.size, renders=form.renders)
+    simulators = SimulatorCache(Simulator, config.options.size)
     make_worker = partial(SimulatorWorker, partial(attempt_demo, config=config), simulators)
     while todo := [spec for task in config.tasks for spec in _plan_task(config, records, task)[1]]:
         crashes = []

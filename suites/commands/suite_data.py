@@ -63,11 +63,11 @@ def _dataset(suite: int, split: str, tasks: str | None, variant: str, **others: 
     epilog="\b\nExamples:\n"
     "  kinebench-drake suite demos --task StackCube-v1 --episodes 10 --out demos/ --format mp4\n"
     "  kinebench-drake suite demos --suite 2 --split train --episodes 50 --out train/ --format lerobot-v3 --jobs 2\n"
-    "  kinebench-drake suite demos --suite 0 --episodes 100 --out part1/ --format maniskill-h5 --shard 1/4",
+    "  kinebench-drake suite demos --suite 0 --episodes 100 --out part1/ --shard 1/4",
 )
 @config_options(SuiteConfig, *_EPISODES, defaults={"suite": 0, "split": "train"})
 @click.option(
-    "--format", "kind", type=click.Choice(["mp4", "lerobot-v3", "maniskill-h5"]), default="mp4",
+    "--format", "kind", type=click.Choice(["mp4", "lerobot-v3"]), default="mp4",
     show_default=True, help="mp4: a video per clip, with captions.",
 )  # fmt: skip
 @click.option("--size", type=SIZES, help="Width and height of the videos.  [default: 384]", metavar="PX")
@@ -132,9 +132,6 @@ def _render_options(
 
     choices = {"size": size, "fps": fps, "frames": frames, "crf": crf}
     values: dict[str, Any] = {name: x for name, x in choices.items() if x is not None}
-    if kind is FormatKind.MANISKILL and values:
-        names = ", ".join(f"--{name}" for name in values)
-        raise UsageError(f"{names}: --format {kind.value} holds no video, but every control step at 20 Hz")
     if with_depth and kind is not FormatKind.MP4:
         raise UsageError(f"--with-depth: the truth of --format {kind.value} holds none; take mp4")
     if size is not None and size % 2:

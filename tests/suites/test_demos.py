@@ -131,7 +131,7 @@ def attempt(out: Path, monkeypatch: pytest.MonkeyPatch, error: Exception) -> Rec
         raise error
 
     monkeypatch.setattr(demos, "run_expert", fail)
-    order = an_order(out, FormatKind.MANISKILL, 1)
+    order = an_order(out, FormatKind.MP4, 1)
     return demos.attempt_demo(None, order.attempts(TASK, 1)[0], order)
 
 

@@ -108,7 +108,6 @@ def test_fps_of_a_lerobot_dataset_follows_the_number_of_frames(suite, orders, tm
         (("demos", "--shard", "3/2"), "I/N"),
         (("demos", "--format", "lerobot-v3", "--fps", 17), "the task's time"),
         (("demos", "--format", "lerobot-v3", "--frames", 25), "--frames 49 (5 a second)"),
-        (("demos", "--format", "maniskill-h5", "--size", 384), "holds no video"),
         (("demos", "--fps", "nan"), "--fps is nan"),
         (("export", "--suite", 1, "--variant", "obstacles"), "tasks that have it: "),
     ],
