@@ -1,7 +1,7 @@
 """Complete description of an episode, from which its scene and first frame are reproducible."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 
@@ -95,18 +95,6 @@ class Episode:
     def layout(self) -> SceneLayout:
         """Return the initial layout of the scene."""
         return _layout(self.task, self.seed, self.variant, self.models())
-
-    def reseeded(self, seed: int) -> "Episode":
-        """Return the episode with the same assets and looks and another seed for the rest."""
-        if seed == self.seed:
-            return self
-        drawn_for = self.id.rpartition("_as")[2].removeprefix(f"{self.task}_s")
-        return replace(
-            self,
-            id=f"{self.task}_s{seed:04d}_as{drawn_for}",
-            seed=seed,
-            prompt=_layout(self.task, seed, self.variant, self.models()).prompt,
-        )
 
 
 def _layout(task: str, seed: int, variant: TaskVariant, models: Mapping[str, AssetModel]) -> SceneLayout:

@@ -176,7 +176,7 @@ class Simulator:
 
     def reset(self, episode: Episode) -> None:
         """Set up the scene of an episode."""
-        self.env.reset(seed=episode.seed, options={"episodes": [episode], "reconfigure": True})
+        self.env.reset(seed=episode.seed, options={"episode": episode})
 
     def scene(self) -> Scene:
         """Return the current placement of robot and objects."""

@@ -96,7 +96,7 @@ class Placement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneLayout:
-    """Initial scene. All seeds of a task and variant have the same object names, so that scenes can be batched."""
+    """Initial scene. All seeds of a task and variant have the same object names."""
 
     placements: Mapping[str, Placement]
     """Objects by their role in the task, such as "target"."""

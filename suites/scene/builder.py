@@ -1,6 +1,5 @@
 """Builders of ManiSkill cameras, actors and articulations, the latter from the arrays of asset models without files."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -156,9 +155,7 @@ class _LinkBuilder(_BodyBuilder, LinkBuilder):  # type: ignore[misc]
         return component
 
 
-def build_actor(
-    scene: Any, name: str, body: RigidBody, X_WA: Array, scene_idxs: Sequence[int], *, physics: str
-) -> Actor:
+def build_actor(scene: Any, name: str, body: RigidBody, X_WA: Array, *, physics: str) -> Actor:
     """Build a single rigid body.
 
     Args:
@@ -168,22 +165,20 @@ def build_actor(
     builder = _ActorBuilder()
     builder.scene = scene
     builder.body = body
-    builder.set_scene_idxs(list(scene_idxs))
+    builder.set_scene_idxs([0])
     builder.set_physx_body_type(physics)
     builder.initial_pose = to_pose(X_WA)
     return builder.build(name)
 
 
-def build_articulation(
-    scene: Any, name: str, model: AssetModel, X_WM: Array, scene_idxs: Sequence[int]
-) -> Articulation:
+def build_articulation(scene: Any, name: str, model: AssetModel, X_WM: Array) -> Articulation:
     """Build bodies with joints, the first one fixed at the pose (4, 4) in the ManiSkill world.
 
     Arguments as of `build_actor`.
     """
     builder = ArticulationBuilder()
     builder.scene = scene
-    builder.set_scene_idxs(list(scene_idxs))
+    builder.set_scene_idxs([0])
     builder.initial_pose = to_pose(X_WM)
     root = None
     for body in model.bodies:

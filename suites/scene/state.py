@@ -1,4 +1,4 @@
-"""Batched state of N scenes as tensors on the simulation's device, from which success conditions are computed."""
+"""State of N scenes as tensors, from which success conditions are computed."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
