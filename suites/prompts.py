@@ -6,14 +6,12 @@ from pathlib import Path
 from typing import cast
 
 from kinebench_drake.errors import UsageError, cause
-from kinebench_drake.formats.kinebench import read_prompts
 from kinebench_drake.io.files import read_text
 from kinebench_drake.io.jsonl import Json, parse_json
 from kinebench_drake.suites.composition import Episode
 from kinebench_drake.suites.families.fruits.assets import FRUITS
 from kinebench_drake.suites.families.registry import TASKS
 
-_CLONE = "kinebench:"
 INSTRUCTION = "{prompt}"
 """Placeholder for the episode's own instruction in a text."""
 OTHERS = "*"
@@ -35,16 +33,14 @@ class PromptTemplate:
         """Read texts by task, `OTHERS` and `NEGATIVE`; None: no texts.
 
         Args:
-            source: the texts, the path of a JSON file with them, or "kinebench:" and the folder of a clone.
+            source: the texts, or the path of a JSON file with them.
 
         Raises:
             UsageError: there is no such task, or the file is not a JSON object of texts.
         """
         name = "$prompts"
         texts = cast(object, source or {})
-        if isinstance(source, Path) and str(source).startswith(_CLONE):
-            texts = _read_clone(Path(str(source).removeprefix(_CLONE)).expanduser())
-        elif isinstance(source, Path):
+        if isinstance(source, Path):
             name = f"$prompts {source}"
             try:
                 texts = parse_json(read_text(source))
@@ -75,11 +71,3 @@ class PromptTemplate:
     def to_json(self) -> dict[str, Json]:
         """Serialize into `config` of results.json."""
         return {"prompts": dict(self.texts) or None, NEGATIVE: self.negative}
-
-
-def _read_clone(folder: Path) -> dict[str, str]:
-    """Return the texts of a clone of KineBench, each with its prefix."""
-    read = read_prompts(folder)
-    texts = {OTHERS: INSTRUCTION, **{task: text for task, text in read.tasks.items() if task in TASKS}}
-    texts = {key: f"{read.prefix.strip()} {text}".strip() for key, text in texts.items()}
-    return {**texts, **({NEGATIVE: read.negative} if read.negative else {})}

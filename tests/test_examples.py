@@ -15,6 +15,8 @@ from kinebench_drake import Scorer
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.store import read_rows
+from kinebench_drake.suites.composition import compose
+from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.worldmodels.factory import create
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.films import shorten_clips
@@ -142,3 +144,30 @@ def test_the_example_server_answers_as_a_world_model(tmp_path):
         server.communicate()
     assert video.frames.shape == (5, 64, 96, 3)
     assert np.abs(video.frames[-1].astype(int) - frame).mean() < 5
+
+
+CLONE = """
+TASK_PROMPTS: dict[str, str] = {
+    "CloseBox-v1": "Shut the box.", "PickFruits-v1": "Take the {fruit_name}.", "Other-v1": "x",
+    "StoreFruitsBox-v1": "Store {fruit_sequence_text}.",
+}
+VISUAL_LOCK_PREFIX = ("Keep " "still. ")
+raise SystemExit("it is run")
+"""
+
+
+def test_the_example_of_prompts_reads_a_clone_and_does_not_run_it(run, tmp_path):
+    (tmp_path / "kinebench/eval").mkdir(parents=True)
+    (tmp_path / "kinebench/tasks.py").write_text(CLONE)
+    (tmp_path / "kinebench/eval/evaluator.py").write_text('NEGATIVE_PROMPT = ("pan, " "zoom")')
+    (tmp_path / "prompts.json").write_text(run("kinebench_prompts.py", tmp_path))
+    template = PromptTemplate.parse(tmp_path / "prompts.json")
+    assert template.prompt(compose("CloseBox-v1", 3)) == "Keep still. Shut the box."
+    assert template.negative == "pan, zoom"
+    fruit = compose("PickFruits-v1", 3)
+    target = fruit.prompt.partition("picks up the ")[2].partition(",")[0]
+    assert template.prompt(fruit) == f"Keep still. Take the {target}."
+    order = template.prompt(compose("StoreFruitsBox-v1", 3)).removeprefix("Keep still. Store ").rstrip(".")
+    assert sorted(order.split(", ")) == ["apple", "banana", "orange"]
+    other = compose("StackCube-v1", 3)
+    assert template.prompt(other) == f"Keep still. {other.prompt}"

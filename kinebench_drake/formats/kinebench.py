@@ -1,4 +1,4 @@
-"""What KineBench writes (https://github.com/minecraft-zzz/KineBench, revision b1f634a): runs, data set, prompts.
+"""What KineBench writes (https://github.com/minecraft-zzz/KineBench, revision b1f634a): runs and data set.
 
     RUN_20260101_120000/TASK-v1/0000/info.json           task, prompt, success, rollouts with the poses of each video
     RUN_20260101_120000/TASK-v1/0000/attempt_000/generated.mp4
@@ -7,16 +7,15 @@
     suite0/videos/videos/close_box_61/observation.images.base_camera.mp4
 
 A video of `max_rollouts` attempts is one sample. Its poses are those of a CAD model of the hand in the robot's base
-frame, executed with the TCP `eef_z_offset` further along z. The Python files of a clone are parsed, never run.
+frame, executed with the TCP `eef_z_offset` further along z.
 """
 
-import ast
 import csv
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -178,44 +177,3 @@ def open_executed_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     }
     columns = tuple(NumberColumn(name=name, size=array[0].size) for name, array in arrays.items())
     yield ColumnTable(columns=columns, load=arrays.__getitem__, rate_hz=sample.rate_hz)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Prompts:
-    """Texts that a clone of KineBench sends to world models."""
-
-    prefix: str
-    """Its visual lock."""
-    tasks: Mapping[str, str]
-    """Text by task, with `{fruit_name}` and `{fruit_sequence_text}` in those with fruits."""
-    negative: str
-
-
-def read_prompts(folder: Path) -> Prompts:
-    """Read the prompts of a clone.
-
-    Raises:
-        UsageError: the folder is no clone.
-    """
-    texts: dict[str, object] = {}
-    for name in ("tasks.py", "eval/evaluator.py"):
-        try:
-            statements: Sequence[ast.stmt] = ast.parse(read_text(folder / "kinebench" / name)).body
-        except (OSError, ValueError, SyntaxError, RecursionError) as error:
-            raise UsageError(f"$prompts kinebench:{folder}: kinebench/{name}: {cause(error)}") from None
-        for statement in statements:
-            targets = statement.targets if isinstance(statement, ast.Assign) else [getattr(statement, "target", None)]
-            value = getattr(statement, "value", None)
-            if isinstance(targets[0], ast.Name) and isinstance(value, ast.expr):
-                try:
-                    texts[targets[0].id] = ast.literal_eval(value)
-                except (ValueError, TypeError, SyntaxError, RecursionError):
-                    continue
-    tasks = texts.get("TASK_PROMPTS")
-    prefix, negative = (as_type(texts.get(name), str) for name in ("VISUAL_LOCK_PREFIX", "NEGATIVE_PROMPT"))
-    if not isinstance(tasks, dict) or prefix is None or negative is None:
-        raise UsageError(
-            f"$prompts kinebench:{folder}: expected a clone of KineBench with TASK_PROMPTS, VISUAL_LOCK_PREFIX and "
-            "NEGATIVE_PROMPT"
-        )
-    return Prompts(prefix=prefix, tasks=tasks, negative=negative)

@@ -98,8 +98,7 @@ class SuiteConfig(RunConfig):
     prompts: Annotated[
         Path | Mapping[str, str] | None,
         Option(
-            "JSON object of texts in place of the instructions (docs/closedloop.md), or kinebench:FOLDER: the prompts "
-            "of your clone of KineBench.",
+            "JSON object of texts in place of the instructions (docs/closedloop.md).",
             metavar="FILE",
             key=None,
         ),

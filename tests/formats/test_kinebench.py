@@ -1,4 +1,4 @@
-"""Runs, data set and prompts of KineBench: what is read is what its evaluator wrote."""
+"""Runs and data set of KineBench: what is read is what its evaluator wrote."""
 
 import json
 from pathlib import Path
@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kinebench_drake.errors import UsageError
 from kinebench_drake.formats.kinebench import read_rows
 from kinebench_drake.formats.trajectories.reading import TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.runs.score import compare_extractors
-from kinebench_drake.suites.composition import compose
-from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.report.suite_page import write_suite_report
 from kinebench_drake.track import GripperTrack
 
@@ -125,31 +122,3 @@ def test_agreement_of_extractors_is_measured_over_the_frames_that_both_have() ->
     assert set(compare_extractors(track, reference[:3]).values()) == {None}
     assert compare_extractors(track, np.tile(lost, (4, 1, 1)))["reference_position_m"] is None
     assert compare_extractors(track, None) == {}
-
-
-CLONE = """
-TASK_PROMPTS: dict[str, str] = {
-    "CloseBox-v1": "Shut the box.", "PickFruits-v1": "Take the {fruit_name}.", "Other-v1": "x",
-    "StoreFruitsBox-v1": "Store {fruit_sequence_text}.",
-}
-VISUAL_LOCK_PREFIX = ("Keep " "still. ")
-raise SystemExit("it is run")
-"""
-
-
-def test_prompts_come_from_a_clone_that_is_not_run(tmp_path: Path) -> None:
-    (tmp_path / "kinebench/eval").mkdir(parents=True)
-    (tmp_path / "kinebench/tasks.py").write_text(CLONE)
-    (tmp_path / "kinebench/eval/evaluator.py").write_text('NEGATIVE_PROMPT = ("pan, " "zoom")')
-    template = PromptTemplate.parse(Path(f"kinebench:{tmp_path}"))
-    assert template.prompt(compose("CloseBox-v1", 3)) == "Keep still. Shut the box."
-    assert template.negative == "pan, zoom"
-    fruit = compose("PickFruits-v1", 3)
-    target = fruit.prompt.partition("picks up the ")[2].partition(",")[0]
-    assert template.prompt(fruit) == f"Keep still. Take the {target}."
-    order = template.prompt(compose("StoreFruitsBox-v1", 3)).removeprefix("Keep still. Store ").rstrip(".")
-    assert sorted(order.split(", ")) == ["apple", "banana", "orange"]
-    other = compose("StackCube-v1", 3)
-    assert template.prompt(other) == f"Keep still. {other.prompt}"
-    with pytest.raises(UsageError, match=r"kinebench/tasks\.py: No such file"):
-        PromptTemplate.parse(Path(f"kinebench:{tmp_path}/nowhere"))
