@@ -1,6 +1,7 @@
 """The scripts of examples/ run and print what they promise."""
 
 import io
+import re
 import runpy
 import subprocess
 import sys
@@ -14,11 +15,15 @@ from PIL import Image
 from kinebench_drake import Scorer
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.arm import load_robot
 from kinebench_drake.results.store import read_rows
+from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.worldmodels.factory import create
 from kinebench_drake.suites.worldmodels.worldmodel import Request
+from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 from tests.films import shorten_clips
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
@@ -171,3 +176,29 @@ def test_the_example_of_prompts_reads_a_clone_and_does_not_run_it(run, tmp_path)
     assert sorted(order.split(", ")) == ["apple", "banana", "orange"]
     other = compose("StackCube-v1", 3)
     assert template.prompt(other) == f"Keep still. {other.prompt}"
+
+
+def test_the_example_of_a_recording_for_rerun_holds_arm_path_and_curves(run, tmp_path):
+    pytest.importorskip("rerun")
+    q = np.tile(load_robot().rest_q, (3, 1))
+    X_BG = ArmPlant().forward_path(q)
+    track = GripperTrack(
+        t_s=0.2 * np.arange(3), X_CH=X_BG, X_BG=X_BG, tracked=np.ones(3, dtype=bool), confidence=np.ones(3),
+        finger_width_m=np.zeros(3),
+    )  # fmt: skip
+    error = np.zeros(3)
+    joints = JointTrack(t_s=track.t_s, q=q, status=(IkStatus.OK,) * 3, position_error_m=error, rotation_error_rad=error)
+    write_track(tmp_path / "a.npz", track, joints, {})
+    run("rerun_recording.py", tmp_path / "a.npz", tmp_path / "a.rrd")
+    verified, listed = (
+        subprocess.run(
+            [sys.executable, "-m", "rerun", "rrd", command, tmp_path / "a.rrd"],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        for command in ("verify", "stats")
+    )
+    assert "1 file verified without error" in verified.stdout + verified.stderr
+    entities = {"/base/path", "/base/tcp", "/base/arm/panda_hand", "/curves/confidence", "/curves/finger_width_m"}
+    assert entities <= set(re.findall(r"^(/\S+):", listed.stdout, re.M))

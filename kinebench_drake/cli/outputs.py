@@ -102,8 +102,7 @@ def merge(ctx: click.Context, /, folders: tuple[Path, ...], out: Path) -> None:
 @click.argument("out", metavar="OUT", type=PathParameter())
 @click.argument("id", metavar="ID")
 @click.option("--open/--no-open", "opened", default=False, help="Open it in the browser.")
-@click.option("--rerun", is_flag=True, help="Write OUT/replays/ID.rrd for the Rerun viewer instead (rerun-sdk).")
-def view(out: Path, id: str, opened: bool, rerun: bool) -> None:
+def view(out: Path, id: str, opened: bool) -> None:
     """Write a 3D replay of sample ID of the output folder OUT and print its path.
 
     The replay, OUT/replays/ID.html, opens in any browser. It shows the motion of the arm, and lists the
@@ -125,7 +124,7 @@ def view(out: Path, id: str, opened: bool, rerun: bool) -> None:
             raise UsageError(f"{id}: has no track to show ({row.reason or f'tracks/{id}.npz is absent'})")
         from kinebench_drake.report.replay import write_replays
 
-        paths = write_replays(out, [id], _plant(out), rerun=rerun)
+        paths = write_replays(out, [id], _plant(out))
     except InputError as error:
         raise UsageError(str(error)) from None
     if not paths:

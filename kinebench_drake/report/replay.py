@@ -8,18 +8,16 @@ from typing import Any
 import numpy as np
 import trimesh
 from markupsafe import escape
-from numpy.typing import NDArray
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Ellipsoid, Mesh, Meshcat, MeshcatParams, Role, Sphere
 from pydrake.multibody.tree import BodyIndex
 
 from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError, cause
-from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.cad import simplify
 from kinebench_drake.report.limit_table import locate_fault
-from kinebench_drake.report.replay_scene import PATH_COLOR, LinkMesh, draw_scene, pose_links, posed_frames
+from kinebench_drake.report.replay_scene import LinkMesh, draw_scene, posed_frames
 from kinebench_drake.report.run import read_results
 from kinebench_drake.report.table import template_environment
 from kinebench_drake.report.verdict import describe_verdict
@@ -37,12 +35,11 @@ _POLICY = (
 )
 
 
-def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None, *, rerun: bool = False) -> list[Path]:
+def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None) -> list[Path]:
     """Write `replays/ID.html` of some samples of an output folder; samples without a tracked frame are skipped.
 
     Args:
         plant: the robot that the run was judged with; None is the Panda.
-        rerun: write `replays/ID.rrd` for the Rerun viewer instead.
 
     Returns:
         The files written.
@@ -67,12 +64,7 @@ def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None, 
         plant = plant or ArmPlant()
         meshes = meshes or link_meshes(plant)
         height_m = table_height(rows[id], config)
-        if rerun:
-            path = path.with_suffix(".rrd")
-            data = record_track(plant, meshes, rows[id], file)
-        else:
-            data = build_replay(plant, meshes, rows[id], file, table_height_m=height_m).encode()
-        write_atomically(path, data)
+        write_atomically(path, build_replay(plant, meshes, rows[id], file, table_height_m=height_m).encode())
         written.append(path)
     return written
 
@@ -181,44 +173,3 @@ def _simplify(link: str, mesh: Any) -> LinkMesh:
     if len(faces) > MAX_TRIANGLES:
         vertices, faces = simplify(vertices, faces, MAX_TRIANGLES)
     return LinkMesh(link=link, vertices=np.asarray(vertices, dtype=np.float64), faces=np.asarray(faces, dtype=np.int32))
-
-
-def record_track(plant: ArmPlant, meshes: Sequence[LinkMesh], row: SampleRow, file: TrackFile) -> bytes:
-    """Return the bytes of an rrd file for the Rerun viewer, with the time of the track `t` [s] and poses in B [m].
-
-    Raises:
-        SetupError: the package rerun-sdk is missing.
-    """
-    try:
-        import rerun as rr
-    except ImportError:
-        raise SetupError("recordings need the package rerun-sdk: pip install rerun-sdk") from None
-    recording = rr.RecordingStream("kinebench-drake", recording_id=row.id, send_properties=False)
-    recording.disable_timeline("log_time")  # times of this program, not of the track
-    memory = recording.memory_recording()
-    t_s = file.track.t_s
-    X_BG = file.track.X_BG
-
-    def move(path: str, frames: NDArray[np.bool_], X: Array) -> None:
-        columns = rr.Transform3D.columns(translation=X[:, :3, 3], mat3x3=X[:, :3, :3])
-        recording.send_columns(path, [rr.TimeColumn("t", duration=t_s[frames])], columns)
-
-    posed = posed_frames(file)
-    solved = finite_rows(file.q)
-    recording.log("base", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    points = rr.Points3D(X_BG[posed, :3, 3], colors=PATH_COLOR, radii=0.004)
-    recording.log("base/path", points, static=True)
-    recording.log("base/tcp", rr.TransformAxes3D(0.06), static=True)
-    move("base/tcp", posed, X_BG[posed])
-    for mesh, X in zip(
-        meshes, pose_links(plant, meshes, file.q[solved], file.track.finger_width_m[solved]), strict=True
-    ):
-        surface = rr.Mesh3D(vertex_positions=mesh.vertices, triangle_indices=mesh.faces, albedo_factor=(220, 222, 226))
-        recording.log(f"base/arm/{mesh.link}", surface, static=True)
-        move(f"base/arm/{mesh.link}", solved, X)
-    curves = {"confidence": file.track.confidence, "finger_width_m": file.track.finger_width_m, **file.curves}
-    for name, values in curves.items():
-        for joint, column in enumerate(np.atleast_2d(values.T), 1):
-            path = f"curves/{name}" if values.ndim == 1 else f"curves/{name}/joint{joint}"
-            recording.send_columns(path, [rr.TimeColumn("t", duration=t_s)], rr.Scalars.columns(scalars=column))
-    return bytes(memory.drain_as_bytes())

@@ -3,8 +3,6 @@
 import base64
 import re
 import socket
-import subprocess
-import sys
 from functools import partial
 
 import numpy as np
@@ -14,7 +12,7 @@ from pydrake.geometry import Meshcat
 from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.report import replay
-from kinebench_drake.report.replay import build_replay, link_meshes, record_track, write_replays
+from kinebench_drake.report.replay import build_replay, link_meshes, write_replays
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore, artifact_path, read_rows
@@ -225,19 +223,3 @@ def test_replays_of_a_folder_are_written_for_named_samples_with_tracks(tmp_path,
     assert not list(written[0].parent.glob(".*"))
     with pytest.raises(UsageError, match="'c'"):
         write_replays(tmp_path / "out", ["c"], plant)
-
-
-def test_a_recording_for_rerun_is_sound_and_holds_arm_path_and_curves(plant, file, tmp_path):
-    pytest.importorskip("rerun")
-    meshes = link_meshes(plant)
-    path = tmp_path / "a.rrd"
-    path.write_bytes(record_track(plant, meshes, row(), file))
-    verified, listed = (
-        subprocess.run(
-            [sys.executable, "-m", "rerun", "rrd", command, path], capture_output=True, text=True, check=True
-        )
-        for command in ("verify", "stats")
-    )
-    assert "1 file verified without error" in verified.stdout + verified.stderr
-    entities = {"/base", "/base/path", "/base/tcp", "/curves/confidence", "/curves/finger_width_m"}
-    assert entities | {f"/base/arm/{mesh.link}" for mesh in meshes} <= set(re.findall(r"^(/\S+):", listed.stdout, re.M))
