@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.formats import manifest, videofolder
+from kinebench_drake.formats import manifest
 from kinebench_drake.formats.camerafile import CAMERA_NAME, save_camera
 from kinebench_drake.formats.lerobot import writer as lerobot
 from kinebench_drake.geometry import from_quaternion, invert
@@ -126,13 +126,13 @@ class VideoFolder(DemoFormat):
                     **source,
                     "variant": record.facts["variant"],
                 }
-                labels.append(videofolder.label_row(f"{name}.mp4", record.prompt, content))
+                labels.append({"file_name": f"{name}.mp4", "text": record.prompt, **content})
                 line = {"video": f"{name}.mp4", "id": name, **common, "prompt": record.prompt, **timing, **source}
                 with np.load(truth) as arrays:
                     first = first_facts(arrays["base_from_tcp"][0], float(arrays["finger_width_m"][0]))
                 lines.append({**line, **first})
         save_camera(options.camera, folder / CAMERA_NAME)
-        write_lines(folder / videofolder.LABELS, labels)
+        write_lines(folder / "metadata.jsonl", labels)
         write_lines(folder / manifest.NAME, lines)
         return []
 

@@ -44,9 +44,7 @@ def test_a_manifest_cannot_name_files_outside_of_its_folder(tmp_path, name):
     assert sample.path == folder
 
 
-@pytest.mark.parametrize(
-    "name", ["camera.json", "manifest.jsonl", "metadata.csv", "clip.mp4", "clip.npz", "frames/0.png"]
-)
+@pytest.mark.parametrize("name", ["camera.json", "manifest.jsonl", "clip.mp4", "clip.npz", "frames/0.png"])
 def test_a_named_pipe_does_not_block_reading(tmp_path, name):
     (tmp_path / name).parent.mkdir(exist_ok=True)
     os.mkfifo(tmp_path / name)

@@ -74,9 +74,8 @@ def hdf5(**items: object) -> bytes:
 
 
 def videos() -> list[Tree]:
-    """Video files, frame folders, arrays, cameras, manifests and metadata tables."""
+    """Video files, frame folders, arrays, cameras and manifests."""
     camera = text(benchmark_camera().resized(SIDE_PX, SIDE_PX).to_json())
-    row = {"file_name": "a/clip.gif", "text": "stack", "task": "T", "seed": 3, "frame_period_s": 0.2}
     rows = [
         {"video": "clip.gif", "id": "a", "task": "T", "seed": 3, "model": "m", "prompt": "stack", "fps": 10},
         {"video": "frames", "camera": "c.json", "first_base_from_tcp": np.eye(4).tolist(), "first_frame": "1.png"},
@@ -89,9 +88,6 @@ def videos() -> list[Tree]:
         {"clip.npz": pack_arrays({"frames": IMAGES, "more": np.zeros(3)})},
         {"manifest.jsonl": lines(rows), "clip.gif": gif(), "c.json": camera, "1.png": image_file()}
         | {f"frames/{k}.png": image_file() for k in range(FRAMES)},
-        {"metadata.csv": f"{','.join(row)}\n{','.join(map(str, row.values()))}\n".encode(), "a/clip.gif": gif()},
-        {"metadata.jsonl": lines([row]), "a/clip.gif": gif()},
-        {"metadata.parquet": table({key: [value] for key, value in row.items()}), "a/clip.gif": gif()},
         {"clip.h5": hdf5(**{f"data/demo_{k}/obs/front_image": IMAGES for k in range(2)})},
     ]
 

@@ -7,7 +7,7 @@ from itertools import chain
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.formats import dream_exe, ewmbench, hdf5, kinebench, manifest, videofolder, worldarena
+from kinebench_drake.formats import dream_exe, hdf5, kinebench, manifest, worldarena
 from kinebench_drake.formats.camerafile import CAMERA_NAME, CameraLookup
 from kinebench_drake.formats.folders import describe_ignored, is_output, list_suffixes, require_apart, run_of, walk
 from kinebench_drake.formats.hub import find_source
@@ -38,7 +38,7 @@ def list_file(path: Path, search: Search) -> list[VideoSample]:
     return [replace(sample, part=VideoPart(key=search.camera_key), camera_key=search.camera_key)]
 
 
-_SIDECARS = (CAMERA_NAME, manifest.NAME, *videofolder.NAMES)
+_SIDECARS = (CAMERA_NAME, manifest.NAME)
 """Files that describe the videos of a folder."""
 Lister = Callable[[Path, Search], list[VideoSample]]
 """Function that lists the videos of a file or folder; raises InputError if it cannot be used."""
@@ -50,17 +50,11 @@ FILES: Mapping[str, Lister] = {
 }
 """Functions that list the videos of a named file, by its suffix in lower case."""
 
-NAMES = dict.fromkeys(videofolder.NAMES, videofolder.list_metadata)
-"""The same by the whole name of the file, which takes precedence over the suffix."""
-
-
 LAYOUTS: Mapping[Callable[[Path], bool], Lister] = {
     lerobot.is_lerobot: lerobot.list_lerobot_videos,
     dream_exe.is_dream_exe: dream_exe.list_dream_exe,
-    ewmbench.is_ewmbench: ewmbench.list_ewmbench,
     kinebench.is_kinebench: kinebench.list_kinebench,
     worldarena.is_submission: worldarena.list_submission,
-    worldarena.is_worldarena: worldarena.list_worldarena,
 }
 """Functions that list the videos of a dataset that is a folder, by the test of its format; the first that is true."""
 
@@ -115,7 +109,6 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
         UsageError: a camera.json is unusable.
     """
     samples: list[VideoSample] = []
-    metadata: list[Path] = []
     arrays: list[Path] = []
     ignored: list[Path] = []
     for here, folders, files in walk(folder, skipped):
@@ -138,7 +131,6 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
         is_video = not videos and _is_frame_folder(files)
         stems = {Path(f).stem for f in videos}
         ignored += [here / f for f in files if not is_video and f not in _SIDECARS and Path(f).stem not in stems]
-        metadata += [here / name for name in videofolder.NAMES if name in files]
         arrays += [here / f for f in files if Path(f).suffix.lower() in ARRAY_SUFFIXES and is_video_array(here / f)]
     if (folder / manifest.NAME).is_file():
         search.warnings.append(f"{folder / manifest.NAME} ignored: {manifest.describe_loss(folder / manifest.NAME)}")
@@ -148,7 +140,7 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
             f"video files and frame folders count; name the file, or list the files in a {manifest.NAME} and name that"
         )
     search.warnings.extend(describe_ignored(sorted({*ignored} - {*arrays})))
-    return videofolder.add_labels(samples, metadata, search)
+    return samples
 
 
 def _camera_folder(source: Path) -> Path:
@@ -173,7 +165,7 @@ def _list(source: Path, search: Search, skipped: Sequence[Path]) -> Sequence[Vid
         if not samples:
             raise InputError(f"holds no video (found {list_suffixes(source)}), expected {_expected()}")
         return samples
-    lister = NAMES.get(source.name) or FILES.get(source.suffix.lower())
+    lister = FILES.get(source.suffix.lower())
     if lister is None:
         raise InputError(f"found a {source.suffix or 'nameless'} file, expected {_expected()}")
     return lister(source, search)
