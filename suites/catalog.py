@@ -167,21 +167,18 @@ def _task_id(name: str) -> str:
     return load_task(name) if ".py:" in name else name.removeprefix("KineBench/")
 
 
-def with_variant(tasks: Sequence[str], variant: TaskVariant, *, named: bool) -> list[str]:
-    """Return the tasks that have a variant; tasks that the user named must have it.
+def chosen_tasks(suite: Suite, split: str, names: str | Sequence[str] | None, variant: TaskVariant) -> tuple[str, ...]:
+    """Return the named tasks of a split, which must have the variant, or all that have it.
 
     Raises:
         UsageError: a named task does not have it, or no task has.
     """
+    tasks = suite.tasks_of(split, task_names(names))
+    named = names is not None
     having = [task for task in tasks if variant in TASKS[task].card.variants]
     if not having or (named and len(having) < len(tasks)):
         which = ", ".join(task for task in tasks if task not in having) if named else "no task of this split"
         verb = "has no" if named else "has the"
         all_having = ", ".join(name for name, task in TASKS.items() if variant in task.card.variants)
         raise UsageError(f"{which} {verb} variant {variant.value!r}; tasks that have it: {all_having}")
-    return having
-
-
-def chosen_tasks(suite: Suite, split: str, names: str | Sequence[str] | None, variant: TaskVariant) -> tuple[str, ...]:
-    """Return the named tasks of a split, or all that have the variant."""
-    return tuple(with_variant(suite.tasks_of(split, task_names(names)), variant, named=names is not None))
+    return tuple(having)

@@ -15,7 +15,7 @@ from kinebench_drake.suites.runs.suite_config import SuiteConfig
 if TYPE_CHECKING:
     from kinebench_drake.suites.demo_config import FormatKind, RenderOptions
 
-_EPISODES = ("suite", "split", "tasks", "episodes", "seed", "variant")
+EPISODES = ("suite", "split", "tasks", "episodes", "seed", "variant")
 """Options that choose episodes of a suite."""
 
 
@@ -25,7 +25,7 @@ _EPISODES = ("suite", "split", "tasks", "episodes", "seed", "variant")
     "  kinebench-drake suite export --suite 0 --episodes 10 --out suite0/\n"
     "  kinebench-drake suite export --suite 2 --split unseen --tasks StackCube-v1 --episodes 50 --out looks/ --jobs 2",
 )
-@config_options(SuiteConfig, *_EPISODES)
+@config_options(SuiteConfig, *EPISODES)
 @click.option("--size", type=SIZES, default=384, show_default=True, help="Width and height of the images.")
 @config_options(SuiteConfig, "prompts", "out", "jobs")
 def export(size: int, prompts: Path | None, jobs: int, **options: Any) -> None:
@@ -39,7 +39,7 @@ def export(size: int, prompts: Path | None, jobs: int, **options: Any) -> None:
     from kinebench_drake.suites.export import ExportConfig, export_suite
     from kinebench_drake.suites.prompts import PromptTemplate
 
-    config = ExportConfig(**_dataset(**options), size=size, prompts=PromptTemplate.parse(prompts))
+    config = ExportConfig(**read_dataset(**options), size=size, prompts=PromptTemplate.parse(prompts))
     with ProgressView() as view, terminate_as_interrupt():
         count = export_suite(config, create_executor(ExecutorKind.LOCAL, jobs), view)
     of = count_noun(len(config.tasks), "task")
@@ -47,7 +47,7 @@ def export(size: int, prompts: Path | None, jobs: int, **options: Any) -> None:
     echo(config.out / "manifest.jsonl")
 
 
-def _dataset(suite: int, split: str, tasks: str | None, variant: str, **others: Any) -> dict[str, Any]:
+def read_dataset(suite: int, split: str, tasks: str | None, variant: str, **others: Any) -> dict[str, Any]:
     """Return the fields of `DatasetConfig` from the options of the command line."""
     from kinebench_drake.suites.catalog import chosen_tasks, load_suite
     from kinebench_drake.suites.families.task import TaskVariant
@@ -65,7 +65,7 @@ def _dataset(suite: int, split: str, tasks: str | None, variant: str, **others: 
     "  kinebench-drake suite demos --suite 2 --split train --episodes 50 --out train/ --format lerobot-v3 --jobs 2\n"
     "  kinebench-drake suite demos --suite 0 --episodes 100 --out part1/ --shard 1/4",
 )
-@config_options(SuiteConfig, *_EPISODES, defaults={"suite": 0, "split": "train"})
+@config_options(SuiteConfig, *EPISODES, defaults={"suite": 0, "split": "train"})
 @click.option(
     "--format", "kind", type=click.Choice(["mp4", "lerobot-v3"]), default="mp4",
     show_default=True, help="mp4: a video per clip, with captions.",
@@ -108,7 +108,7 @@ def demos(
 
     form = FormatKind(kind)
     config = DemoConfig(
-        **_dataset(**dataset),
+        **read_dataset(**dataset),
         options=_render_options(form, size, fps, frames, crf, with_depth),
         kind=form,
         shard=None if shard is None else Shard.parse(shard),

@@ -14,7 +14,7 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import ExecutorKind, create_executor
 from kinebench_drake.suites.catalog import load_suite, task_names
 from kinebench_drake.suites.composition import compose
-from kinebench_drake.suites.expert_check import Policy, run_trials
+from kinebench_drake.suites.expert_check import run_trials
 from kinebench_drake.suites.families.registry import EXPERTS, TASKS, OwnTask, find_expert, load_task
 
 ROOT = Path(__file__).parents[2]
@@ -56,7 +56,7 @@ def test_the_environment_example_of_the_docs_runs() -> None:
 @pytest.mark.sapien
 @pytest.mark.usefixtures("unregistered")
 def test_the_expert_of_the_example_task_succeeds_in_another_process() -> None:
-    [trial] = run_trials(create_executor(ExecutorKind.LOCAL, 2), [compose(load_task(PUSH_CUBE), 3)], Policy.EXPERT)
+    [trial] = run_trials(create_executor(ExecutorKind.LOCAL, 2), [compose(load_task(PUSH_CUBE), 3)])
     assert (trial.success, trial.reason) == (True, "")
 
 

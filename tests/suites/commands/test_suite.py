@@ -124,8 +124,7 @@ def test_unknown_suites_splits_tasks_and_frame_counts_are_usage_errors(refusal, 
             ("check", "--variant", "obstacles", "--tasks", "PullCube-v1"),
             "PullCube-v1 has no variant 'obstacles'; tasks",
         ),
-        (("check", "--json", "absent/x.json"), "there is no folder absent"),
-        (("check", "--split", "unseen"), "add --suite N"),
+        (("check", "--split", "unseen"), "suite 0 has no split 'unseen'"),
         (("check", "--suite", 1, "--split", "train", "--tasks", "StoreCube-v2"), "not in suite 1's split train"),
     ],
 )
@@ -139,7 +138,7 @@ def test_check_runs_the_expert_on_the_episodes_of_the_suite_split(suite, monkeyp
     checked = []
     monkeypatch.setattr(
         "kinebench_drake.suites.expert_check.run_trials",
-        lambda executor, episodes, policy: checked.extend(episodes) or (),
+        lambda executor, episodes: checked.extend(episodes) or (),
     )
     code, _, err = suite("check", "--suite", 2, "--split", "unseen", "--episodes", 2, "--seed", 3)
     assert code == 0, err
