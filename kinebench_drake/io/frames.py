@@ -1,11 +1,10 @@
-"""Frames of a video: an array, or where they take more memory a temporary file that is read frame by frame."""
+"""Frames of a video: an array, which a temporary file holds where it takes more memory."""
 
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import IO, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +12,10 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.progress import count_steps
 
-Image = NDArray[np.uint8]
+Image: TypeAlias = NDArray[np.uint8]
 """(H, W, 3) RGB."""
+Frames: TypeAlias = NDArray[np.uint8]
+"""(T, H, W, 3) RGB."""
 MAX_FRAMES = 2000
 """Most frames of a video: the measurements of each stay in memory, about 0.9 MB."""
 MAX_PIXELS = 4096 * 4096
@@ -22,75 +23,9 @@ MAX_PIXELS = 4096 * 4096
 MAX_BYTES = 2**34
 """Most bytes of all frames."""
 MEMORY_BYTES = 2**29
-"""Bytes of frames above which they are kept in a file."""
+"""Bytes of frames above which they are kept in a file, whose pages the system may take from memory."""
 _ON_DISK = Path("/var/tmp")
 """Folder of large temporary files unless TMPDIR names one; /tmp often is a part of the memory."""
-
-
-class Frames(Protocol):
-    """(T, H, W, 3) RGB: an array, or a `FrameFile`. `frames[k]` is an image; other indices select like an array's."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(T, H, W, 3)."""
-
-    @property
-    def dtype(self) -> Any:
-        """Type of the numbers."""
-
-    def __len__(self) -> int: ...
-
-    def __iter__(self) -> Iterator[Any]: ...
-
-    def __getitem__(self, index: Any, /) -> Any: ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameFile:
-    """Selection of the frames in a temporary file, which disappears with the last of its selections."""
-
-    _file: IO[bytes]
-    _stored: tuple[int, ...]
-    """(H, W, 3) of the frames in the file."""
-    _rows: NDArray[np.intp]
-    """(T,) numbers of the selected frames in the file."""
-    _windows: tuple[tuple[slice, ...], ...] = ()
-    """Selections within each image, applied in this order."""
-
-    @property
-    def dtype(self) -> np.dtype[np.uint8]:
-        """Type of the numbers."""
-        return np.dtype(np.uint8)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(T, H, W, 3)."""
-        return (len(self._rows), *self._within(np.broadcast_to(np.uint8(0), self._stored)).shape)
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def __iter__(self) -> Iterator[Image]:
-        return (self[k] for k in range(len(self)))
-
-    def __getitem__(self, index: Any) -> Any:
-        """Return an image by its number; for any other index a selection that is read when it is used."""
-        if isinstance(index, int | np.integer):
-            image = np.empty(self._stored, np.uint8)
-            os.preadv(self._file.fileno(), [image.data], int(self._rows[index]) * image.nbytes)
-            return np.ascontiguousarray(self._within(image))
-        rows, *window = index if isinstance(index, tuple) else (index,)
-        windows = (*self._windows, tuple(window)) if window else self._windows
-        return FrameFile(self._file, self._stored, self._rows[rows], windows)
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        """Return the selected frames as an array."""
-        return np.stack(list(self)).astype(dtype or np.uint8, copy=False)
-
-    def _within(self, image: Image) -> Image:
-        for window in self._windows:
-            image = image[window]
-        return image
 
 
 def require_frames(name: str, shape: tuple[int, ...], dtype: object) -> None:
@@ -147,7 +82,10 @@ def collect_frames(name: str, images: Iterable[tuple[str, Image]]) -> Frames:
         count += 1
     if not count:
         raise InputError(f"{name}: holds no frame")
-    return array[:count] if file is None else FrameFile(file, array.shape[1:], np.arange(count))
+    if file is None:
+        return array[:count]
+    with file:  # the map keeps what it holds
+        return np.memmap(file, np.uint8, "r+", shape=(count, *array.shape[1:])).view(np.ndarray)
 
 
 def map_frames(frames: Frames, change: Callable[[int, Image], Image]) -> Frames:
@@ -159,7 +97,7 @@ def _write_all(name: str, array: Image) -> IO[bytes]:
     """Return a temporary file that begins with the frames of an array."""
     folder = None if "TMPDIR" in os.environ or not os.access(_ON_DISK, os.W_OK) else _ON_DISK
     try:
-        file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - closed with the last selection
+        file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - closed once it is mapped
     except OSError as error:
         raise _full(name, error) from None
     _write(name, file, array)
