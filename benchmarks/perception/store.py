@@ -16,7 +16,7 @@ from pydantic import GetCoreSchemaHandler, PlainSerializer, TypeAdapter
 from pydantic_core import CoreSchema, core_schema
 
 import kinebench_drake
-from kinebench_drake.environment.sources import trace_sources
+from benchmarks.perception.sources import trace_sources
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, MakeWorker, Observer, WorkerCrash
 from kinebench_drake.geometry import Array

@@ -34,7 +34,6 @@ from kinebench_drake.report.verdict import (
 from kinebench_drake.results.aggregate import Aggregate, RunStatistics, split_rows
 from kinebench_drake.results.drops import GATED, Drop, DropReason, list_drops
 from kinebench_drake.results.inputs import input_lines
-from kinebench_drake.results.provenance import report_hash
 from kinebench_drake.results.row import VERDICT_SHARES, SampleRow, Status
 from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, read_rows
 
@@ -72,7 +71,7 @@ def write_report(out: Path, rows: Iterable[SampleRow] | None = None, statistics:
 
 
 def is_report_current(out: Path) -> bool:
-    """Return whether `report.html` is that of the present `results.json`, files and code."""
+    """Return whether `report.html` is that of the present `results.json` and files."""
     path = out / REPORT
     try:
         written = path.stat().st_mtime_ns
@@ -85,9 +84,9 @@ def is_report_current(out: Path) -> bool:
 
 
 def _stamp(out: Path) -> str:
-    """Return the SHA-256 of the code and of `results.json`, which a page is of."""
+    """Return the SHA-256 of `results.json`, which a page is of and which has the version of the program."""
     path = out / RESULTS
-    return hashlib.sha256(report_hash().encode() + (path.read_bytes() if path.is_file() else b"")).hexdigest()
+    return hashlib.sha256(path.read_bytes() if path.is_file() else b"").hexdigest()
 
 
 def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: RunStatistics | None = None) -> str:

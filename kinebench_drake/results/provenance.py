@@ -8,7 +8,6 @@ from importlib import metadata
 from pathlib import Path
 
 from kinebench_drake.environment.precision import multiplies_bfloat16, network_precision, processor_fact
-from kinebench_drake.environment.sources import trace_sources
 from kinebench_drake.io.archive import hash_file
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.plugin import BENCHMARK
@@ -18,7 +17,7 @@ _PACKAGES = ("numpy", "scipy", "drake", "open3d", "torch", "av", "mani_skill", "
 
 RUNS = ("kinebench_drake.runs.score", "kinebench_drake.runs.audit", "kinebench_drake.runs.follow", BENCHMARK)
 """Modules that measure samples."""
-_NOT_MEASURING = ("report", "results", "executors", "environment", "cli", "errors", "stats")
+_NOT_MEASURING = ("api", "cli", "environment", "errors", "executors", "integrations", "report", "results", "stats")
 """Parts of the package on which no number of a row depends: storage, statistics, presentation, distribution of work."""
 
 
@@ -58,24 +57,19 @@ def weights_hash() -> str:
 
 @cache
 def code_hash(*modules: str) -> str:
-    """Return the SHA-256 of the code that shapes a measurement: a row with another hash is computed again.
+    """Return the SHA-256 of the sources that shape a measurement: a row with another hash is computed again.
 
-    It is that of the syntax trees, without docstrings and comments, of all modules that measuring modules reach.
+    They are all but those of `_NOT_MEASURING`; those of the benchmark count for its own modules only.
     """
+    benchmark = BENCHMARK.split(".")[1]
+    is_episode = any(module.split(".")[1] == benchmark for module in modules)
     digest = hashlib.sha256()
-    for source in trace_sources(*modules):
-        if source.name.split(".")[1:2] not in [[part] for part in _NOT_MEASURING]:
-            digest.update(f"{source.name} {source.code}\n".encode())
-    return digest.hexdigest()
-
-
-@cache
-def report_hash() -> str:
-    """Return the SHA-256 of the sources, templates and captions that shape statistics and reports."""
-    digest = hashlib.sha256()
-    patterns = ("*.py", "*/*.py", "report/*.j2", "report/*.toml", "report/*.csv")
-    for file in sorted(file for pattern in patterns for file in _TOP.glob(pattern)):
-        digest.update(file.relative_to(_TOP).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    for part in sorted(_TOP.iterdir()):
+        if part.stem in _NOT_MEASURING or (part.name == benchmark and not is_episode):
+            continue
+        for file in sorted(part.resolve().rglob("*.py")) if part.is_dir() else [part] * (part.suffix == ".py"):
+            digest.update(f"{part.name}/{file.relative_to(part.resolve())}".encode() + b"\0")
+            digest.update(file.read_bytes() + b"\0")
     return digest.hexdigest()
 
 

@@ -6,8 +6,8 @@ import sys
 import numpy as np
 
 from benchmarks.perception.errors import ClipErrors
+from benchmarks.perception.sources import trace_sources
 from benchmarks.perception.store import MeasurementStore, fingerprint
-from kinebench_drake.environment.sources import trace_sources
 
 MEASURING = "benchmarks.perception.trial"
 SHAPING = (

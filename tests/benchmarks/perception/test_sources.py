@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import kinebench_drake
-from kinebench_drake.environment import sources
-from kinebench_drake.environment.sources import trace_sources
+from benchmarks.perception import sources
+from benchmarks.perception.sources import trace_sources
 
 TOP = Path(kinebench_drake.__file__).parent
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
+import kinebench_drake
 from kinebench_drake.errors import SetupError
 from kinebench_drake.io.files import cache_folder
 from kinebench_drake.io.jsonl import read_object, write_json
 
-_TOP = Path(__file__).parents[1]
+_TOP = Path(kinebench_drake.__file__).parent
 _PACKAGE = "kinebench_drake"
 _FOLLOWED = (_PACKAGE, "benchmarks", "training")
 """Top names of imports that are followed; the developers' tools stand beside the package in a clone alone."""
