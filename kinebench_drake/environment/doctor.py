@@ -1,7 +1,6 @@
 """Checks of this machine: what works, and how to fix what does not."""
 
 import importlib.metadata
-import importlib.util
 import subprocess
 import sys
 import tempfile
@@ -46,14 +45,11 @@ def run_checks() -> list[Check]:
     Libraries that could crash are loaded in separate processes.
     """
     return [
-        check("Python", _python, f"make a virtual environment with Python 3.11 or 3.12 and install into it; {CLONE}"),
         check("native libraries", _native, FIX),
         check("Drake", _drake, f"{FIX}; a damaged package: {_reinstall('drake')}"),
         check("torch", _torch, f"{_reinstall('torch')}; {CLONE}"),
         check("Open3D", _open3d, f"{FIX}; a damaged package: {_reinstall('open3d')}"),
         check(CV2_CHECK, _cv2, FIX),
-        check("video decoding", _video, f"{_reinstall('av')}: PyAV's wheel from the index brings the codecs"),
-        check("Panda URDF", _panda, f"{_reinstall('mani-skill')}; {CLONE}"),
         check(
             "perception weights",
             _weights,
@@ -106,13 +102,6 @@ def probe(code: str) -> str:
 
 def _reinstall(package: str) -> str:
     return f"`python -m pip install --force-reinstall --no-deps {package}`"
-
-
-def _python() -> str:
-    version = ".".join(str(part) for part in sys.version_info[:3])
-    if not (3, 11) <= sys.version_info[:2] < (3, 13):
-        raise _BrokenError(f"{version}, expected 3.11 or 3.12")
-    return version
 
 
 def _native() -> str:
@@ -173,34 +162,6 @@ def _cv2() -> str:
     if owners != ["opencv-python-headless"]:
         raise _BrokenError(f"cv2 comes from {' and '.join(owners) or 'nowhere'}, expected opencv-python-headless alone")
     return f"{probe('import cv2; print(cv2.__version__)')}, opencv-python-headless alone"
-
-
-def _video() -> str:
-    import av.codec
-
-    missing = []
-    for codec, encodes, purpose in (
-        ("h264", False, "H.264 decoder"),
-        ("libdav1d", False, "AV1 decoder (dav1d; FFmpeg's own needs special hardware)"),
-        ("libx264", True, "H.264 encoder (x264)"),
-    ):
-        try:
-            av.codec.Codec(codec, "w" if encodes else "r")
-        except ValueError:  # av's UnknownCodecError
-            missing.append(purpose)
-    if missing:
-        raise _BrokenError(f"PyAV {av.__version__} has no {', no '.join(missing)}")
-    return f"PyAV {av.__version__} with H.264 and AV1"
-
-
-def _panda() -> str:
-    package = importlib.util.find_spec("mani_skill")
-    if package is None or package.origin is None:
-        raise _BrokenError("mani_skill is not installed")
-    urdf = Path(package.origin).parent / "assets" / "robots" / "panda" / "panda_v2.urdf"
-    if not urdf.is_file():
-        raise _BrokenError(f"{urdf} is missing")
-    return f"in mani_skill {importlib.metadata.version('mani_skill')}"
 
 
 def _weights() -> str:

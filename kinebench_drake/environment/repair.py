@@ -21,12 +21,11 @@ _ELSEWHERE = ("PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "PIP_USER", "PIP_PYTHON")
 """Environment variables that would make pip install outside this environment."""
 
 
-def repair_environment(checks: Sequence[doctor.Check], say: Callable[[str], None], *, dry_run: bool = False) -> bool:
+def repair_environment(checks: Sequence[doctor.Check], say: Callable[[str], None]) -> bool:
     """Print and run the commands that repair failed checks; a repair that fails does not stop the others.
 
     Args:
         checks: results of `doctor.run_checks()`.
-        dry_run: print only.
 
     Returns:
         True if something was changed.
@@ -42,10 +41,10 @@ def repair_environment(checks: Sequence[doctor.Check], say: Callable[[str], None
         for commands in repairs:
             for command in commands:
                 say(f"==> {shlex.join(command)}")
-                if not dry_run and subprocess.run(command, env=environment).returncode:
+                if subprocess.run(command, env=environment).returncode:
                     say("    failed")
                     break
-    return bool(repairs) and not dry_run
+    return bool(repairs)
 
 
 def _require_environment() -> None:

@@ -49,9 +49,9 @@ def checks(*failed: str) -> list[Check]:
     return [Check(name, name not in failed, "", "") for name in names]
 
 
-def mend(*failed: str, dry_run: bool = False) -> tuple[bool, list[str]]:
+def mend(*failed: str) -> tuple[bool, list[str]]:
     lines: list[str] = []
-    return repair.repair_environment(checks(*failed), lines.append, dry_run=dry_run), lines
+    return repair.repair_environment(checks(*failed), lines.append), lines
 
 
 def test_without_a_repairable_failure_nothing_is_run(machine: Machine) -> None:
@@ -91,13 +91,6 @@ def test_without_network_nothing_is_uninstalled(machine: Machine) -> None:
     _, lines = mend("cv2")
     assert [c[0] for c in machine.pip()] == ["download"]
     assert lines[-1] == "    failed"
-
-
-def test_dry_run_prints_both_repairs_and_changes_nothing(machine: Machine) -> None:
-    changed, lines = mend("cv2", "Open3D", dry_run=True)
-    assert not changed
-    assert len(lines) == 4
-    assert machine.ran == []
 
 
 def test_a_failed_repair_does_not_prevent_the_other(machine: Machine) -> None:
@@ -145,24 +138,14 @@ def test_the_shim_is_a_wheel_that_pip_accepts(tmp_path: Path) -> None:
     assert [f for f in found.files or [] if ".dist-info" not in str(f)] == []
 
 
-@pytest.mark.parametrize(
-    ("arguments", "after", "code"), [(["--fix"], True, 0), (["--fix"], False, 1), (["--fix", "--dry-run"], True, 1)]
-)
+@pytest.mark.parametrize(("after", "code"), [(True, 0), (False, 1)])
 def test_the_exit_status_is_that_of_the_checks_after_the_repair(
-    machine: Machine, monkeypatch: pytest.MonkeyPatch, arguments: list[str], after: bool, code: int
+    machine: Machine, monkeypatch: pytest.MonkeyPatch, after: bool, code: int
 ) -> None:
     found = iter([checks("cv2"), checks() if after else checks("cv2")])
     monkeypatch.setattr(doctor, "run_checks", lambda: next(found))
     monkeypatch.setattr(vulkan, "check_vulkan", lambda: Check("Vulkan device", True, "", ""))
-    done = CliRunner().invoke(command, arguments)
+    done = CliRunner().invoke(command, ["--fix"])
     assert done.exit_code == code
     assert "uninstall --yes opencv-python" in done.output
-    assert done.output.count("checks failed") + done.output.count("checks passed") == (
-        1 if "--dry-run" in arguments else 2
-    )
-
-
-def test_dry_run_without_fix_is_refused() -> None:
-    done = CliRunner().invoke(command, ["--dry-run"])
-    assert done.exit_code == 2
-    assert "--dry-run goes with --fix" in done.output
+    assert done.output.count("checks failed") + done.output.count("checks passed") == 2
