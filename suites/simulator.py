@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.environment.native import ignore_vulkan_warning, prepare_vulkan
-from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import Array, from_quaternion, invert
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.description import FINGER_LINKS, HAND_LINK
@@ -260,22 +260,6 @@ class Simulator:
                 body = link._objs[0].entity.find_component_by_type(sapien.render.RenderBodyComponent)
                 if body is not None:
                     body.visibility = float(visible)
-
-    def set_camera(self, camera: Camera) -> None:
-        """Change camera pose and intrinsics.
-
-        Raises:
-            UsageError: the image size differs.
-        """
-        if (camera.width, camera.height) != (self.camera.width, self.camera.height):
-            raise UsageError(
-                f"the simulator renders images of {self.camera.width} x {self.camera.height}, not of {camera.width} x "
-                f"{camera.height}"
-            )
-        from kinebench_drake.suites.scene.builder import place_camera
-
-        place_camera(self.env._sensors[self._camera_name], camera)
-        self.camera = camera
 
     def _capture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.integer[Any]], dict[str, int]]:
         """Return colour (H, W, 3), depth (H, W) [mm], segmentation ids (H, W), and the ids of the links by name."""

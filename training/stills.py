@@ -25,6 +25,7 @@ from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator, Snapshot
 from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker
 from training.frame import FILES, RENDERED_DEPTH_BIAS_M, RenderedFrame, label_parts, save_shard, varied_camera
+from training.viewpoint import place_camera
 
 STILLS = 32
 """Frames of a rollout."""
@@ -87,10 +88,10 @@ def render_stills(simulator: StillSimulator, rollout: Rollout, rng: np.random.Ge
     frames = []
     for snapshot in _choose_snapshots(rollout.snapshots, rng):
         benchmark = rng.random() < _BENCHMARK_SHARE
-        simulator.set_camera(benchmark_camera().resized(size, size) if benchmark else varied_camera(rng, size))
+        place_camera(simulator, benchmark_camera().resized(size, size) if benchmark else varied_camera(rng, size))
         simulator.set_snapshot(_move_arm(plant, snapshot, rng) if rng.random() < _MOVED_SHARE else snapshot)
         frames.append(simulator.labelled())
-    simulator.set_camera(camera_before)
+    place_camera(simulator, camera_before)
     return frames
 
 

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.perception.store import drop_torn_line
 from kinebench_drake.geometry import invert
 from kinebench_drake.io.container import write_video
-from kinebench_drake.io.jsonl import append_line, as_object, drop_torn_line, read_lines
+from kinebench_drake.io.jsonl import append_line, as_object, read_lines
 from kinebench_drake.io.npz import write_arrays
 from kinebench_drake.models.panda.description import hand_from_tcp
 from training.vtk import RenderedVideo, VtkScene

@@ -7,6 +7,7 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.grounding.tracking.view import GRIPPER_RADIUS_M, Crop
+from kinebench_drake.suites.simulator import Simulator
 
 _DISTANCE_M = (0.4, 2.5)
 _FOV_RAD = np.deg2rad((20.0, 100.0))
@@ -95,3 +96,13 @@ def _look_at(rng: np.random.Generator, position: Array, target_B: Array, ray_C: 
     roll = rng.uniform(-_ROLL_RAD, _ROLL_RAD) if rng.random() < _ROLLED else rng.normal(0, _USUAL_ROLL_RAD)
     R_CL = Crop.towards(ray_C, 1.0, 1, roll=float(roll)).R_CV
     return make_pose(R_BL @ R_CL.T, position)
+
+
+def place_camera(simulator: Simulator, camera: Camera) -> None:
+    """Change pose and intrinsics of a simulator's camera, for images of the same size, without rebuilding the scene."""
+    from kinebench_drake.suites.scene.builder import CAMERA, FAR_M, NEAR_M, X_WB, sapien_from_opencv, to_pose
+
+    for component in simulator.env._sensors[CAMERA].camera._render_cameras:
+        component.set_perspective_parameters(NEAR_M, FAR_M, camera.fx, camera.fy, camera.cx, camera.cy, 0.0)
+        component.set_local_pose(to_pose(sapien_from_opencv(X_WB @ camera.X_BC)))
+    simulator.camera = camera

@@ -19,6 +19,7 @@ from kinebench_drake.suites.rollout import RolloutVideo, render_video
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import GRIPPER_LINKS
 from kinebench_drake.track import MAX_WIDTH_M, IkStatus
+from training.viewpoint import place_camera
 
 DUPLICATE_FRAMES = 10
 DEFORMED_FRAMES = 12
@@ -160,7 +161,7 @@ def _camera_motion(recording: Recording, grade: FaultGrade, rng: np.random.Gener
             moved = move_camera(camera, rotation=[v, -u, 0.0])
         else:
             moved = move_camera(camera, translation=[-u * depth_m, -v * depth_m, 0.0])
-        recording.simulator.set_camera(moved)
+        place_camera(recording.simulator, moved)
 
     return recording.plant(recording.render_again(range(1, n), displace), 1, grade.kind, grade.size, form)
 

@@ -20,7 +20,8 @@ from benchmarks.perception.sources import trace_sources
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, MakeWorker, Observer, WorkerCrash
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.jsonl import append_line, drop_torn_line, read_lines
+from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.io.jsonl import append_line, read_lines
 
 Record = TypeVar("Record")
 """Dataclass; its arrays are annotated as `Stored`."""
@@ -52,6 +53,15 @@ Flags = Annotated[NDArray[np.bool_], Stored("d", np.bool_)]
 Confidences = Annotated[Array, Stored(".4f")]
 Milli = Annotated[float, PlainSerializer(lambda value: round(value, 3))]
 """Number in a record, rounded to three decimals in the file."""
+
+
+def drop_torn_line(path: Path) -> None:
+    """Remove an unfinished last line, so that lines can be appended."""
+    if path.is_file():
+        data = path.read_bytes()
+        whole = data[: data.rfind(b"\n") + 1]
+        if len(whole) < len(data):
+            write_atomically(path, whole)
 
 
 def fingerprint(*settings: object, modules: Iterable[str] = (), files: Iterable[Path] = ()) -> str:

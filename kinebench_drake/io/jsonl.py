@@ -147,15 +147,6 @@ def append_line(path: Path, row: Mapping[str, Any]) -> tuple[int, int]:
     return before, size
 
 
-def drop_torn_line(path: Path) -> None:
-    """Remove an unfinished last line, so that lines can be appended."""
-    if path.is_file():
-        data = path.read_bytes()
-        whole = data[: data.rfind(b"\n") + 1]
-        if len(whole) < len(data):
-            write_atomically(path, whole)
-
-
 def dump(value: Json, *, indent: int | None = None) -> str:
     """Return strict JSON text in ASCII, ending with a line feed."""
     return json.dumps(value, allow_nan=False, indent=indent) + "\n"

@@ -32,8 +32,3 @@ def worst_value(name: str, values: Iterable[float]) -> float | None:
     if name in HIGHER_IS_BETTER:
         return min(values, default=None)
     return max(values, default=None) if name in LOWER_IS_BETTER else None
-
-
-def improves(name: str, before: float, after: float) -> bool:
-    """Return whether `after` is better than `before`; never for metrics that are neither good nor bad."""
-    return after != before and worst_value(name, (before, after)) == before

@@ -18,8 +18,9 @@ X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])
 """Pose (4, 4) of the robot base in the ManiSkill world [m]."""
 CAMERA = "base_camera"
 """Name of the camera."""
-_NEAR_M = 0.01
-_FAR_M = 20.0
+NEAR_M = 0.01
+FAR_M = 20.0
+"""Distances between which a camera sees."""
 
 
 def to_pose(X: Array) -> sapien.Pose:
@@ -40,19 +41,11 @@ def camera_config(camera: Camera, shaders: ShaderConfig | None = None) -> Camera
         pose=to_pose(sapien_from_opencv(X_WB @ camera.X_BC)),
         width=camera.width,
         height=camera.height,
-        near=_NEAR_M,
-        far=_FAR_M,
+        near=NEAR_M,
+        far=FAR_M,
         intrinsic=camera.K,
         shader_config=shaders,
     )
-
-
-def place_camera(sensor: Any, camera: Camera) -> None:
-    """Set pose and intrinsics of ManiSkill's camera without rebuilding the scene."""
-    pose = to_pose(sapien_from_opencv(X_WB @ camera.X_BC))
-    for component in sensor.camera._render_cameras:
-        component.set_perspective_parameters(_NEAR_M, _FAR_M, camera.fx, camera.fy, camera.cx, camera.cy, 0.0)
-        component.set_local_pose(pose)
 
 
 def _render_material(surface: SurfaceFinish) -> sapien.render.RenderMaterial:
