@@ -11,7 +11,7 @@ HIGHER_IS_BETTER = frozenset(
         *("manipulability_mean", "manipulability_min", "manipulability_integral", "manipulability_limited_mean"),
         *("manipulability_limited_min", "manipulability_translation_mean", "manipulability_rotation_mean"),
         *("joint_limit_margin_min", "self_distance_min_m", "table_distance_min_m"),
-        *("gap_robot_iou", "gap_psnr_db", "gap_ssim", "action_following", "follows", "follow_share"),
+        *("gap_robot_iou", "action_following", "follows", "follow_share"),
     }
 )
 LOWER_IS_BETTER = frozenset(

@@ -203,7 +203,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         cause = find_cause(run, results)
         gap_metrics, gap_reasons = average_gaps(
             [
-                measure_gap(done.frames, done.robot, done.grounding.track.X_BG, video)
+                measure_gap(done.robot, done.grounding.track.X_BG, video)
                 for done, video in zip(run.rounds, executed, strict=True)
                 if video is not None
             ]
