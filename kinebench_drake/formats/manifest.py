@@ -47,19 +47,6 @@ def _view_text(value: object) -> object:
 _LABELS = {"task", "model", "seed", "prompt", "fps", "frame_period_s", "view"}
 """Keys that a sample takes over unchanged."""
 
-_NOUNS = {
-    "task": "tasks",
-    "model": "models",
-    "seed": "seeds",
-    "prompt": "prompts",
-    "frame_period_s": "frame periods",
-    "fps": "frame rates",
-    "camera": "cameras",
-    "view": "views",
-    "first_base_from_tcp": "initial states",
-}
-"""Keys that change results, and what they state, in the plural."""
-
 _Number = Annotated[float, Field(allow_inf_nan=False)]
 _Row = Annotated[list[_Number], Field(min_length=4, max_length=4)]
 _Pose = Annotated[list[_Row], Field(min_length=4, max_length=4), AfterValidator(_rigid)]
@@ -126,19 +113,6 @@ def read_manifest(path: Path) -> list[ManifestLine]:
     if not lines:
         raise UsageError(f'{path.name}: is empty, expected one JSON object per line, such as {{"video": "a.mp4"}}')
     return lines
-
-
-def describe_loss(path: Path) -> str:
-    """Return what is unused where a folder is read in place of the manifest in it, and how to use it, for a warning."""
-    try:
-        entries = [line.entry for line in read_manifest(path) if line.entry is not None]
-    except UsageError:
-        entries = []
-    keys = {key for entry in entries for key, value in entry if value is not None}
-    nouns = [noun for key, noun in _NOUNS.items() if key in keys]
-    lost = f"its {', '.join(nouns[:-1])}{' and ' if nouns[1:] else ''}{nouns[-1]} are unused" if nouns else "unused"
-    clock = " (1 / fps is used unless $frame_period_s is given)" if "frame_period_s" in keys else ""
-    return f"{lost}{clock}; score the manifest itself to use them"
 
 
 def _read_line(number: int, text: str) -> ManifestLine:

@@ -88,12 +88,6 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
     def _default_sensor_configs(self) -> list[CameraConfig]:
         return [camera_config(self._camera, software_shaders() if self._by_software else None)]
 
-    @property
-    def _default_human_render_camera_configs(self) -> CameraConfig:
-        config = camera_config(self._camera)
-        config.uid = "render_camera"
-        return config
-
     def _load_agent(self, options: dict[str, Any]) -> None:
         super()._load_agent(options, sapien.Pose(X_WB[:3, 3]))
         if self._by_software:

@@ -79,7 +79,7 @@ def check_video(path: Path) -> str:
         raise WorldModelError(f"the video cannot be read ({cause(error)})") from None
     suffix = suffix_of(head)
     if suffix is None:
-        raise WorldModelError(f"the file is not a video ({_describe(head)}); expected mp4, mov, avi, gif, webm or mkv")
+        raise WorldModelError("the file is not a video; expected mp4, mov, avi, gif, webm or mkv")
     try:
         # The format is fixed: otherwise a playlist of other addresses would pass as a video.
         with av.open(path, format=DEMUXERS[suffix][0], metadata_errors="replace") as container:
@@ -90,15 +90,6 @@ def check_video(path: Path) -> str:
     except (av.FFmpegError, EOFError, ValueError, OverflowError, MemoryError) as error:
         raise WorldModelError(f"the video is damaged ({type(error).__name__})") from None
     return suffix
-
-
-def _describe(head: bytes) -> str:
-    if not head:
-        return "it is empty"
-    text = head.lstrip()
-    if text[:1] in (b"{", b"["):
-        return "it looks like JSON"
-    return "it looks like a web page" if text[:1] == b"<" else "its first bytes are those of no known video format"
 
 
 @contextmanager

@@ -184,19 +184,10 @@ def request_video(model: WorldModel, request: Request, out: Path) -> Path:
     if isinstance(answer, str | os.PathLike) and Path(answer).exists():
         return Path(answer)
     raise InputError(
-        f"generate returned {_describe_answer(answer)}, expected the path of the video that it wrote, such as "
-        'out.with_name(out.name + ".mp4"), or of a folder of frames; `kinebench_drake.write_video(path, frames, '
-        "request.fps)` writes an array of frames (T, H, W, 3) uint8"
+        f"generate returned a {type(answer).__name__} that is no file, expected the path of the video that it wrote, "
+        'such as out.with_name(out.name + ".mp4"), or of a folder of frames; `kinebench_drake.write_video(path, '
+        "frames, request.fps)` writes an array of frames (T, H, W, 3) uint8"
     )
-
-
-def _describe_answer(answer: object) -> str:
-    if isinstance(answer, str | os.PathLike):
-        return f"{Path(answer).name}, which does not exist"
-    if answer is None:
-        return "None"
-    shape = getattr(answer, "shape", None)
-    return f"a {type(answer).__name__}{'' if shape is None else f' of shape {tuple(shape)}'}"
 
 
 def _format_traceback(error: Exception) -> str:

@@ -95,7 +95,7 @@ def test_an_implausible_frame_period_warns_of_wrong_units(film, config, tmp_path
         assert any("17 s between two frames" in warning for warning in observer.warnings) is warned
 
 
-def test_an_unread_manifest_in_a_source_folder_warns_which_fields_are_unused(film, config, tmp_path):
+def test_an_unread_manifest_in_a_source_folder_is_a_warning(film, config, tmp_path):
     film("videos/a.mp4")
     manifest = tmp_path / "videos" / "manifest.jsonl"
     manifest.write_text(json.dumps({"video": "a.mp4", "task": "t", "model": "m", "frame_period_s": 0.2}))
@@ -104,6 +104,5 @@ def test_an_unread_manifest_in_a_source_folder_warns_which_fields_are_unused(fil
     ignored, assumed = observer.warnings
     assert "the arm confirms one that is known by name" in assumed
     assert ignored == (
-        f"{manifest} ignored: its tasks, models and frame periods are unused (1 / fps is used unless $frame_period_s "
-        "is given); score the manifest itself to use them"
+        f"{manifest} ignored, also the frame periods and cameras that it states; score the manifest itself to use them"
     )

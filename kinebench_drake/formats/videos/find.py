@@ -133,7 +133,10 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
         ignored += [here / f for f in files if not is_video and f not in _SIDECARS and Path(f).stem not in stems]
         arrays += [here / f for f in files if Path(f).suffix.lower() in ARRAY_SUFFIXES and is_video_array(here / f)]
     if (folder / manifest.NAME).is_file():
-        search.warnings.append(f"{folder / manifest.NAME} ignored: {manifest.describe_loss(folder / manifest.NAME)}")
+        search.warnings.append(
+            f"{folder / manifest.NAME} ignored, also the frame periods and cameras that it states; score the manifest "
+            "itself to use them"
+        )
     if arrays:
         search.warnings.append(
             f"videos in npy or npz files ignored ({len(arrays)}, such as {search.name(arrays[0])}): in a folder only "

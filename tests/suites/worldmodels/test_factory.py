@@ -151,9 +151,9 @@ def _raise() -> None:
 @pytest.mark.parametrize(
     ("answer", "message"),
     [
-        (lambda: None, "returned None, expected the path of the video"),
-        (lambda: np.zeros((5, 64, 96, 3)), r"returned a ndarray of shape \(5, 64, 96, 3\), expected the path"),
-        (lambda: "nowhere/x.mp4", "returned x.mp4, which does not exist, expected the path"),
+        (lambda: None, "returned a NoneType that is no file, expected the path of the video"),
+        (lambda: np.zeros((5, 64, 96, 3)), "returned a ndarray that is no file, expected the path"),
+        (lambda: "nowhere/x.mp4", "returned a str that is no file, expected the path"),
         (_raise, r"raised ValueError: out of; its traceback is in videos/a_r0_error\.txt"),
     ],
 )

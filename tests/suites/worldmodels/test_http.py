@@ -97,7 +97,7 @@ def test_path_url_and_base64_answers_give_the_same_video(
         ({"error": "late", "video_path": "/x"}, r"gave no video: late \(and video_path beside the error"),
         ({"video_base64": "%%%"}, "not base64"),
         ({"video_base64": "AAAA"}, "not a video"),
-        ({"video_base64": ""}, "it is empty"),
+        ({"video_base64": ""}, "not a video"),
         ({"video_path": "made.mp4"}, "not an absolute path"),
         ({"video_path": "/nonexistent"}, "cannot be read"),
         ({"video_path": f"/{'x' * 300}"}, "cannot be read"),
