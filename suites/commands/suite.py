@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # slow to import
 
 @click.group(
     epilog="\b\nExamples:\n"
-    "  kinebench-drake suite list --suites\n"
+    "  kinebench-drake suite list --json\n"
     "  kinebench-drake suite export --suite 0 --episodes 10 --out suite0/\n"
     "  kinebench-drake suite demos --task StackCube-v1 --episodes 10 --out demos/"
 )
@@ -33,42 +33,21 @@ for command in (export, demos, run, plan, report):
 
 @suite.command(
     "list",
-    epilog="\b\nExamples:\n  kinebench-drake suite list --json\n  kinebench-drake suite list --suites",
+    epilog="\b\nExample:\n  kinebench-drake suite list --json",
 )
 @click.option("--json", "as_json", is_flag=True, help="Full descriptions as JSON; prompt: that of seed 0.")
-@click.option("--suites", is_flag=True, help="List the suites and their splits instead.")
-def list_tasks(as_json: bool, suites: bool) -> None:
+def list_tasks(as_json: bool) -> None:
     """List the tasks, one plain id a line."""
     from kinebench_drake.suites.families.registry import TASKS
 
-    if suites:
-        _list_suites(as_json)
-    elif as_json:
+    if as_json:
         from kinebench_drake.suites.composition import compose
 
         texts = {name: compose(name, 0).prompt for name in TASKS}
-        _echo_json([{**asdict(t.card), "horizon": t.card.horizon, "prompt": texts[name]} for name, t in TASKS.items()])
+        facts = [{**asdict(t.card), "horizon": t.card.horizon, "prompt": texts[name]} for name, t in TASKS.items()]
+        click.echo(json.dumps(facts, indent=1, default=lambda x: x.value if isinstance(x, Enum) else str(x)))
     else:
         click.echo("\n".join(TASKS))
-
-
-def _list_suites(as_json: bool) -> None:
-    from kinebench_drake.suites.catalog import NUMBERS, load_suite
-
-    loaded = [load_suite(number) for number in NUMBERS]
-    if as_json:
-        _echo_json([asdict(suite) for suite in loaded])
-        return
-    for suite in loaded:
-        click.echo(f"{suite.number}  {suite.title}: {suite.about}")
-        for name, split in suite.splits.items():
-            judged = ", judged on" if name == suite.evaluated else ""
-            facts = f"{len(suite.tasks_of(name))} tasks, assets and looks: {split.pool.value}{judged}"
-            click.echo(f"   {name:7}{facts}. {split.about}")
-
-
-def _echo_json(facts: list[dict[str, Any]]) -> None:
-    click.echo(json.dumps(facts, indent=1, default=lambda x: x.value if isinstance(x, Enum) else str(x)))
 
 
 @suite.command(epilog="\b\nExample:\n  kinebench-drake suite check --tasks StackCube-v1 --episodes 100 --jobs 2")

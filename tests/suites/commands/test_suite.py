@@ -48,12 +48,6 @@ def test_list_prints_one_task_id_per_line(suite):
     assert [card["id"] for card in cards] == list(TASKS)
 
 
-def test_list_suites_prints_number_and_title_of_each_suite(suite):
-    told = json.loads(suite("list", "--suites", "--json")[1])
-    assert [entry["number"] for entry in told] == [0, 1, 2, 3]
-    assert "Task transfer" in suite("list", "--suites")[1]
-
-
 def test_task_options_accept_ids_with_the_environment_namespace(suite, orders, tmp_path):
     for names in ("StackCube-v1,PullCube-v1", "KineBench/PullCube-v1, KineBench/StackCube-v1"):
         code, out, _ = suite("export", "--suite", 0, "--tasks", names, "--episodes", 2, "--out", tmp_path)
