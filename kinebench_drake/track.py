@@ -49,6 +49,14 @@ class GripperTrack:
         for name in ("X_CH", "X_BG"):
             _check(name, getattr(self, name), (n, 4, 4))
 
+    @classmethod
+    def untracked(cls, t_s: Array) -> "GripperTrack":
+        """Return the track of frames at times (T,) [s] in which no pose is measured."""
+        n = len(t_s)
+        X = np.full((n, 4, 4), np.nan)
+        nothing = np.zeros(n)
+        return cls(t_s=t_s, X_CH=X, X_BG=X, tracked=nothing > 0, confidence=nothing, finger_width_m=X[:, 0, 0])
+
     def at(self, frames: NDArray[np.intp]) -> "GripperTrack":
         """Return the track at a selection of its frames."""
         arrays = ("t_s", "X_CH", "X_BG", "tracked", "confidence", "finger_width_m")

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -524,7 +524,7 @@ class Calibrator:
         self._detected = detected
         self._tracked = tracked
         self._cameras = cameras
-        self._links = links
+        self._links = cache(links)
         self._model = ArmModel()
 
     @staticmethod
@@ -547,6 +547,7 @@ class Calibrator:
         centre_free: bool = False,
         most: int = _DEFAULT_FRAMES,
         gripper: GripperKind = GripperKind.AUTO,
+        rows: NDArray[np.intp] | None = None,
     ) -> CameraCalibration:
         """Calibrate the camera of frames (T, H, W, 3).
 
@@ -558,12 +559,14 @@ class Calibrator:
             centre_free: True if principal point and shape of the pixels are not known exactly.
             most: greatest number of frames used.
             gripper: gripper of the robot; at AUTO the links alone are tried where the Franka hand gives no camera.
+            rows: (N,) numbers of frames of known state that the fit may use; None: any. The others confirm it.
 
         Raises:
             UsageError: the gripper needs joint angles of the frames.
             UnmeasurableError: the camera moves, or the video does not determine it.
         """
-        with_hand = partial(self._fit_robot, frames, states, guess, focal_free, centre_free, most)
+        allowed = states if states is None or rows is None else states.only(rows)
+        with_hand = partial(self._fit_robot, frames, allowed, guess, focal_free, centre_free, most)
         if gripper is GripperKind.FRANKA or (gripper is GripperKind.AUTO and not _has_joints(states)):
             return with_hand()
         if states is None or not _has_joints(states):
@@ -576,7 +579,11 @@ class Calibrator:
             except UnmeasurableError:
                 tell("no camera agrees with the Franka hand: trying the links alone")
             gripper = GripperKind.ROBOTIQ_2F85
-        return self._fit_links(frames, states, guess, focal_free, centre_free, most, gripper)
+        return self._fit_links(frames, states, guess, focal_free, centre_free, most, gripper, rows)
+
+    def compare_links(self, frames: Frames, camera: Camera, postures: Sequence[Array]) -> Array:
+        """Return the shares (K, T) of the contours of the moving links on image edges in K postures (T, 7) [rad]."""
+        return self._links(GripperKind.NONE).compare(frames, Lens.of_camera(camera), postures)
 
     def _fit_robot(
         self,
@@ -641,10 +648,11 @@ class Calibrator:
         centre_free: bool,
         most: int,
         gripper: GripperKind,
+        rows: NDArray[np.intp] | None,
     ) -> CameraCalibration:
         """Calibrate by the links alone; arguments and errors as of `calibrate`."""
         links = self._links(gripper)
-        detected = links.detect(frames, states, guess, focal_free=focal_free, most=most)
+        detected = links.detect(frames, states, guess, focal_free=focal_free, most=most, allowed=rows)
         shift = _camera_shift(frames[detected[0].rows], detected[0].robot, guess)
         estimate, evidence = links.solve(
             detected,

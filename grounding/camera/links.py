@@ -5,7 +5,7 @@ gives initial cameras, and the contours of the links decide between these, betwe
 of the joint angles.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,6 +71,8 @@ _LAG_JOINT_SIGMA_RAD = 1e-3
 """Standard deviation of joint angles where lags are compared: free ones would hide a lag [rad]."""
 LEAST_LEAD = 0.03
 """Least lead of the agreement of the moving links at their lag over that at other lags."""
+_JUDGED_FRAMES = 8
+"""Least number of frames with links by which a motion is judged."""
 _SEEN_CELLS = 20
 """Cells of a link in a frame from which on it counts as seen."""
 
@@ -154,6 +156,42 @@ class LinkEvidence:
             f"joint angles: {when} ({lag.agreement:.0%} of the contours of moving links on edges, {others})",
             f"fy / fx: {', against '.join(shapes)}",
         ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkAgreement:
+    """Agreement of the moving links with frames to which the camera was not fitted, at stated and at other motions."""
+
+    own: Array
+    """(T,) share of their contours on image edges in the stated postures; 0 where no link is visible."""
+    controls: Mapping[str, Array]
+    """(T,) the same in other postures."""
+
+    @property
+    def means(self) -> dict[str, float]:
+        """Mean shares over the frames that show links, of the stated motion as `own`, and of each control."""
+        shares = {"own": self.own, **self.controls}
+        return {name: float(values[values > 0].mean()) if values.any() else 0.0 for name, values in shares.items()}
+
+    def decide(self) -> tuple[bool | None, str]:
+        """Return True and a reason where the stated motion leads every control clearly, and in no third falls behind.
+
+        Else None: links that do not agree may be badly visible.
+        """
+        means = self.means
+        text = ", ".join(f"{name} {mean:.0%}" for name, mean in means.items())
+        reason = f"contours of the links on edges in {len(self.own)} frames: {text}"
+        if int((self.own > 0).sum()) < _JUDGED_FRAMES:
+            return None, f"{reason}; {_JUDGED_FRAMES} frames that show them are needed"
+        thirds = np.array_split(np.arange(len(self.own)), 3)
+        leads = [means["own"] - means[name] for name in self.controls]
+        parts = [float((self.own[k] - values[k]).mean()) for k in thirds for values in self.controls.values()]
+        if min(leads) < bounds.LEAD or min(parts) < -LEAST_LEAD:
+            return (
+                None,
+                f"{reason}; the actions have to lead every control by {bounds.LEAD:.0%}, in no third to fall behind",
+            )
+        return True, reason
 
 
 @dataclass(frozen=True)
@@ -250,9 +288,18 @@ class LinkCalibrator:
         return cls(NetworkEstimator(load_network(WEIGHTS_OF[gripper])))
 
     def detect(
-        self, frames: Frames, states: RobotStates, guess: Camera, *, focal_free: bool, most: int
+        self,
+        frames: Frames,
+        states: RobotStates,
+        guess: Camera,
+        *,
+        focal_free: bool,
+        most: int,
+        allowed: NDArray[np.intp] | None = None,
     ) -> list[ArmDetections]:
         """Return the links in the best of the frames (T, H, W, 3) whose joint angles are known at all lags.
+
+        Of these only frames `allowed` (N,) are used; None: any.
 
         Of an unknown focal length several are assumed, one after the other: views of a wide camera look stretched with
         that of a narrow one.
@@ -264,6 +311,7 @@ class LinkCalibrator:
         side = max(guess.width, guess.height)
         cameras = [with_focal(guess, focal_px(side, fov)) for fov in _VIEW_FOV_DEG] if focal_free else [guess]
         rows = np.flatnonzero(ends[0] & ends[1])
+        rows = rows if allowed is None else np.intersect1d(rows, allowed)
         return [find_links(self._estimator, frames, rows, camera, most) for camera in cameras]
 
     def solve(
@@ -340,14 +388,18 @@ class LinkCalibrator:
         if len(rows) < MIN_FRAMES:
             return None
         rows = rows[evenly(len(rows), _COMPARED_FRAMES)]
-        images = self._fitter.images(frames[rows], lens.intrinsics)
+        agreements = self.compare(frames[rows], lens, [q[rows], q[np.roll(rows, len(rows) // 2)]])
+        own, exchanged = (float(shares[shares > 0].mean()) if shares.any() else 0.0 for shares in agreements)
+        return own, exchanged
+
+    def compare(self, frames: Frames, lens: Lens, postures: Sequence[Array]) -> Array:
+        """Return the shares (K, T) of the contours of the moving links on edges of frames (T, H, W, 3).
+
+        Each of the K `postures` has joint angles (T, 7) [rad]. The share is 0 where no link is visible.
+        """
+        images = self._fitter.images(frames, lens.intrinsics)
         images = replace(images, left_out=(*GRIPPER, RobotPart.LINK0), points=FIT_POINTS)
-
-        def agree(others: NDArray[np.intp]) -> float:
-            shares = images.agreement(ArmScene(lens=lens, q=q[others], finger_m=np.zeros(len(others))))
-            return float(shares[shares > 0].mean()) if shares.any() else 0.0
-
-        return agree(rows), agree(np.roll(rows, len(rows) // 2))
+        return np.array([images.agreement(ArmScene(lens=lens, q=q, finger_m=np.zeros(len(q)))) for q in postures])
 
 
 def _is_usual(camera: Camera) -> bool:

@@ -53,6 +53,13 @@ class RobotStates:
         """Select frames."""
         return replace(self, q=self.q[frames], X_BH=self.X_BH[frames], finger_m=self.finger_m[frames])
 
+    def only(self, frames: NDArray[np.intp]) -> "RobotStates":
+        """Return the states of some frames; those of all others become unknown."""
+        count = len(self.q)
+        q = spread(self.q[frames], frames, count)
+        X_BH = spread(self.X_BH[frames], frames, count)
+        return replace(self, q=q, X_BH=X_BH, finger_m=spread(self.finger_m[frames], frames, count))
+
     def q_at_lag(self, frames: float) -> Array:
         """Return the joint angles (T, 7) of rows that come `frames` later, interpolated; NaN where there are none."""
         rows = np.arange(len(self.q), dtype=np.float64)

@@ -131,6 +131,14 @@ class PoseSeries:
         X = spread(interpolate_pose(self.X[first], self.X[second], s[valid]), valid, len(t_s))
         return replace(self, t_s=t_s, X=X, finger_width_m=np.interp(t_s, self.t_s, self.finger_width_m))
 
+    def repeated(self, again: "PoseSeries") -> "PoseSeries":
+        """Return the poses with no less error than their root mean square difference from a second measurement."""
+        distance, angle = (values[np.isfinite(values)] for values in pose_difference(self.X, again.X))
+        if not len(distance):
+            return self
+        sigma_m = max(self.sigma_m, float(np.sqrt(np.mean(distance**2))))
+        return replace(self, sigma_m=sigma_m, sigma_rad=max(self.sigma_rad, float(np.sqrt(np.mean(angle**2)))))
+
     def taken(self, rows: NDArray[np.intp]) -> "PoseSeries":
         """Return the frames `rows` (N,) in this order."""
         return replace(self, t_s=self.t_s[rows], X=self.X[rows], finger_width_m=self.finger_width_m[rows])
@@ -379,6 +387,12 @@ def _find_drift(deviation: Deviation) -> int | None:
         return None
     distance = median_filter(deviation.distance_m[measured], _DRIFT_FRAMES, mode="nearest")
     angle = median_filter(deviation.angle_rad[measured], _DRIFT_FRAMES, mode="nearest")
-    inside = np.flatnonzero((distance <= DRIFT_M) & (angle <= DRIFT_RAD))
-    first = int(inside[-1]) + 1 if len(inside) else 0
-    return int(measured[first]) if first <= len(measured) - _MIN_DRIFT else None
+    first = find_onset((distance <= DRIFT_M) & (angle <= DRIFT_RAD))
+    return None if first is None else int(measured[first])
+
+
+def find_onset(inside: NDArray[np.bool_]) -> int | None:
+    """Return the first frame from which on none of three or more frames lies `inside` (N,) a tube, or None."""
+    inside_frames = np.flatnonzero(inside)
+    first = int(inside_frames[-1]) + 1 if len(inside_frames) else 0
+    return first if first <= len(inside) - _MIN_DRIFT else None

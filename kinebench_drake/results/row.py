@@ -359,6 +359,13 @@ class SampleRow:
     """Median distance from there on [m]; without a base frame null."""
     controls: Mapping[str, Json] | None = None
     """Share of the frames inside the tube about the actions of each control: `shuffled`, `reversed`, `still`."""
+    link_agreement: Mapping[str, Json] | None = None
+    """Share of the contours of the links on image edges in the commanded postures, `own`, and in those of each control;
+    where the gripper decides nothing."""
+    reference_error_m: float | None = None
+    """Error of the track of the real clip, which is taken out: no less than that from a second coding of it [m]."""
+    reference_error_px: float | None = None
+    """The same in the image [px of the video]."""
     reference: Mapping[str, Json] | None = None
     """The same keys for a clip with actions against its real clip; `real_follows`: verdict on that one's own motion."""
 

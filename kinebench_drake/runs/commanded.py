@@ -37,6 +37,10 @@ class Commands:
     source: str
     """Name of the file, and the columns that were read."""
 
+    def q_at(self, t_s: Array) -> Array:
+        """Return the joint angles (N, 7) [rad] at times (N,) [s]: the first and the last ones outside."""
+        return np.column_stack([np.interp(t_s, self.series.t_s, column) for column in self.q.T])
+
 
 def find_actions(source: Path | None, sample: VideoSample) -> Path | None:
     """Return the file or data set with the actions of a video; None if there is none.

@@ -345,10 +345,7 @@ class ScoreConfig(SourceConfig):
             raise UsageError(
                 f"$format {self.format.value} goes with `ground`: `score` writes the joint angles it judged"
             )
-        try:
-            check_view(self.view)
-        except ValueError as error:
-            raise UsageError(f"$view is {self.view!r}, {error}") from None
+        _check_view("view", self.view)
         check_period(self.frame_period_s)
         self.overrides()
         duration_s = self.task_duration_s
@@ -387,14 +384,43 @@ class FollowConfig(ScoreConfig):
     reference: Annotated[
         Path | None, Option("Real clips that the videos should show, with the same ids.", metavar="PATH")
     ] = None
+    reference_view: Annotated[
+        str | None,
+        Option(
+            "Panel of the real clips, where their frames are tiles: with PATH itself as $reference the row of a tile "
+            "that is real, such as top-left.  [default: that of $view]",
+            metavar="N|NAME",
+        ),
+    ] = None
     reading: Annotated[
         Path | None,
         Option("How to read the actions (docs/formats.md).  [default: by their names]", metavar="FILE"),
     ] = None
 
+    def __post_init__(self) -> None:
+        """Convert and check the options.
+
+        Raises:
+            UsageError: the real clips are the clips themselves.
+        """
+        ScoreConfig.__post_init__(self)
+        _check_view("reference_view", self.reference_view or AUTO_VIEW)
+        if self.reference is not None and self.reference_view in (None, self.view) and self.reference == self.source:
+            raise UsageError(
+                f"$reference {self.reference} holds the clips themselves: name the real row of their frames by "
+                "$reference_view, such as top-left, and the generated one by $view"
+            )
+
     def trajectory_options(self) -> TrajectoryOptions:
         """Return the options of reading actions."""
         return TrajectoryOptions(reading=None if self.reading is None else Reading.parse(self.reading))
+
+
+def _check_view(option: str, view: str) -> None:
+    try:
+        check_view(view)
+    except ValueError as error:
+        raise UsageError(f"${option} is {view!r}, {error}") from None
 
 
 def _check_names(option: str, names: Iterable[str], valid: Sequence[str]) -> None:

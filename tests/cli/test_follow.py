@@ -6,8 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UnmeasurableError, UsageError
 from kinebench_drake.geometry import make_pose, to_quaternion
+from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track
 from kinebench_drake.runs.config import FollowConfig
@@ -26,7 +28,7 @@ class Tools(FakeResources):
     @property
     def calibrator(self):
         def calibrate(frames, states, guess, **options):
-            assert len(frames) == len(states.q) == FRAMES // 4
+            assert len(frames) == len(states.q) == 2 * len(options["rows"]) == FRAMES
             raise UnmeasurableError("the arm is not seen")
 
         return SimpleNamespace(calibrate=calibrate)
@@ -122,7 +124,9 @@ def test_a_clip_beside_its_real_one(film, follow, tmp_path, reason):
     assert row.deviation_px < 0.5
     assert (row.deviation_m is None) == (row.deviation_hands is not None) == (reason is not None)
     film("dark/a.mp4", frames=FRAMES, has_gripper=False)
-    assert "the real clip: no Franka hand" in follow(reference=tmp_path / "dark")["a"].reason
+    row = follow(reference=tmp_path / "dark")["a"]
+    assert (row.status.value, row.follows, row.deviation_hands) == ("ok", None, None)
+    assert "the real clip: no Franka hand" in row.follow_reason
 
 
 def test_what_the_real_clip_does_not_follow_either_is_no_verdict(film, follow, tmp_path):
@@ -137,3 +141,44 @@ def test_without_anything_to_compare_with_there_is_no_run(film, follow, tmp_path
     film("videos/a.mp4")
     with pytest.raises(UsageError, match=r"neither actions of its videos .* a\.npz"):
         follow()
+
+
+class Linked(Tools):
+    """Fakes that fit the benchmark camera, and see the links in the postures of the fake track alone."""
+
+    @property
+    def calibrator(self):
+        def compare(frames, camera, postures):
+            return np.array([np.exp(-20.0 * np.abs(q[:, :3] - motion()[1::2]).sum(axis=1)) for q in postures])
+
+        lag = SimpleNamespace(lag=SimpleNamespace(frames=0.0))
+        fit = SimpleNamespace(camera=benchmark_camera(), links=lag)
+        return SimpleNamespace(calibrate=lambda *_, **__: fit, compare_links=compare)
+
+
+def test_links_decide_where_the_gripper_does_not(film, follow, tmp_path):
+    lost = {"frames": FRAMES, "is_sure": False, "result": {"gripper": GripperKind.ROBOTIQ_2F85}}
+    for id in ("good", "wrong"):
+        film(f"videos/{id}.mp4", **lost)
+    q = np.pad(motion(), ((0, 0), (0, 4)))
+    np.savez(tmp_path / "good.npz", q=q)
+    np.savez(tmp_path / "wrong.npz", q=q[::-1])
+    rows = follow(actions=tmp_path, camera="auto", make_resources=Linked, gripper="robotiq-2f85")
+    assert {id: (row.status.value, row.follows) for id, row in rows.items()} == {
+        "good": ("ok", True),
+        "wrong": ("ok", None),
+    }
+    good = rows["good"]
+    assert (good.lag_frames, good.deviation_m) == (0.0, None)
+    assert good.link_agreement["own"] > 0.9 > 0.5 > good.link_agreement["shuffled"]
+    assert "contours of the links on edges in 12 frames: own 100%" in good.follow_reason
+
+
+def test_a_tile_is_its_own_reference(film, follow, tmp_path):
+    film("videos/a.mp4", frames=FRAMES)
+    with pytest.raises(UsageError, match=r"holds the clips themselves.*reference_view"):
+        follow(reference=tmp_path / "videos")
+    row = follow(reference=tmp_path / "videos", reference_view="1")["a"]
+    assert (row.follows, row.lag_frames) == (True, pytest.approx(0.0, abs=0.1))
+    assert row.deviation_m == pytest.approx(0.0, abs=1e-6)
+    assert row.reference_error_m < 1e-3

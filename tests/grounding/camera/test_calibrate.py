@@ -132,7 +132,8 @@ class LinksAlone:
     def __init__(self, estimator):
         self._estimator = estimator
 
-    def detect(self, frames, states, guess, *, focal_free, most):
+    def detect(self, frames, states, guess, *, focal_free, most, allowed):
+        assert allowed is None
         return [self._estimator.estimate(frames, guess)]
 
     def solve(self, detected, frames, states, guess, **_):

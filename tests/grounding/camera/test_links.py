@@ -10,7 +10,7 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import invert, pose_difference
 from kinebench_drake.grounding.camera.detections import ArmDetections
 from kinebench_drake.grounding.camera.lens import Lens, centred_camera, pixel_shapes
-from kinebench_drake.grounding.camera.links import LagEstimate, LinkCalibrator, LinkEvidence
+from kinebench_drake.grounding.camera.links import LagEstimate, LinkAgreement, LinkCalibrator, LinkEvidence
 from kinebench_drake.grounding.camera.states import RobotStates
 from kinebench_drake.models.panda.cad import PartCaster, franka_hand, link_meshes
 from kinebench_drake.models.panda.description import ARM, RobotPart
@@ -136,3 +136,20 @@ def test_too_little_evidence_is_refused_with_the_links_in_view(agreement, runner
     evidence = LinkEvidence(lag=lag, shapes=((1.0, 0.5),), links="link5 in 3 of 9 frames", unused=unused)
     with pytest.raises(UnmeasurableError, match=said):
         evidence.require_agreement("joints.csv", agreement)
+
+
+@pytest.mark.parametrize(
+    ("own", "control", "frames", "follows"),
+    [(0.5, 0.2, 12, True), (0.5, 0.45, 12, None), (0.5, 0.2, 6, None), (0.0, 0.0, 12, None)],
+)
+def test_links_confirm_a_motion_that_leads_every_control(own, control, frames, follows):
+    shares = np.full(frames, own)
+    agreement = LinkAgreement(own=shares, controls={"still": np.full(frames, control), "reversed": 0.1 * shares})
+    assert agreement.decide()[0] is follows
+
+
+def test_links_that_lose_the_motion_at_the_end_do_not_confirm_it():
+    own = np.where(np.arange(12) < 8, 0.5, 0.1)
+    agreement = LinkAgreement(own=own, controls={"still": np.full(12, 0.2)})
+    assert agreement.means == {"own": pytest.approx(11 / 30), "still": pytest.approx(0.2)}
+    assert agreement.decide()[0] is None
