@@ -40,7 +40,7 @@ _OF_VERDICT = (
 _UNFOLLOWED = ("format", "limits", "payload_kg", "obstacles", "replays", "fail_on", "sarif", "write_kept")
 """Options of `score` without a meaning where a motion is compared."""
 _GROUPS = {
-    "Start": ("dry_run", "out", "actions", "reference"),
+    "Start": ("dry_run", "out", "actions", "reference", "reference_view"),
     "Input": (
         *("frame_period_s", "task_duration_s", "rate_hz", "reading", "camera_key"),
         *("task", "model", "model_from", "tags", "pixels_only", "masks", "depth", "depth_exact", "poses"),
@@ -138,13 +138,16 @@ def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
         "\b\nExamples:\n"
         "  kinebench-drake follow videos/ --actions actions/ --out results/     # videos/a.mp4, actions/a.npz\n"
         "  kinebench-drake follow videos/manifest.jsonl --out results/          # key actions of each line\n"
-        "  kinebench-drake follow generated/ --reference real/ --out results/"
+        "  kinebench-drake follow generated/ --reference real/ --out results/\n"
+        "  kinebench-drake follow tiles/ --view bottom --reference tiles/ --reference-view top --out out/\n"
+        "  kinebench-drake follow videos/ --actions actions/ --dry-run"
     ),
 )
 @_source_argument
 @config_options(FollowConfig, omit=("source", *_UNFOLLOWED))
+@_dry_run_option
 @click.pass_context
-def follow(ctx: click.Context, /, **options: Any) -> None:
+def follow(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     """Compare the videos of PATH with the actions, or the real clips, that they should show.
 
     PATH is as in `score`. The motion of the gripper is measured, and compared with the commanded one: how far it is
@@ -155,11 +158,7 @@ def follow(ctx: click.Context, /, **options: Any) -> None:
     what their names leave open, also changes from frame to frame. The camera, if none is named, is fitted to the arm in
     the commanded postures, on frames that are not judged.
     """
-    from kinebench_drake.cli.progress import run
-    from kinebench_drake.runs.follow import follow_videos
-
-    config = FollowConfig(replays=None, **options)
-    ctx.exit(run(lambda observer: follow_videos(config, observer), config.out))
+    ctx.exit(_score(FollowConfig(replays=None, **options), dry_run=dry_run))
 
 
 @click.command(
@@ -254,11 +253,15 @@ def _score(config: ScoreConfig, *, dry_run: bool) -> int:
     from kinebench_drake.cli.progress import ProgressView, run
     from kinebench_drake.results.inputs import input_lines
     from kinebench_drake.results.row import Status
+    from kinebench_drake.runs.follow import follow_videos, plan_following
     from kinebench_drake.runs.preparation import row_warnings
     from kinebench_drake.runs.score import plan_videos, score_videos
 
+    if not dry_run and isinstance(config, FollowConfig):
+        return run(lambda observer: follow_videos(config, observer), config.out)
     if not dry_run:
         return run(lambda observer: score_videos(config, observer), config.out)
+    sources = plan_following(config) if isinstance(config, FollowConfig) else {}
     rows = []
     for sample, row in plan_videos(config, ProgressView("samples")):
         rows.append(row)
@@ -273,7 +276,7 @@ def _score(config: ScoreConfig, *, dry_run: bool) -> int:
             for key, value in (("task", row.task), ("model", row.model), ("view", row.view))
             if value is not None
         ]
-        echo("; ".join([f"{row.id}: {size}", *input_lines([row]), *picture, *labels]))
+        echo("; ".join([f"{row.id}: {size}", *input_lines([row]), *picture, *labels, *sources.get(row.id, ())]))
     readable = [row for row in rows if row.status is Status.OK]
     echo(f"{len(readable)} of {len(rows)} samples can be read; nothing was measured or written")
     for warning in row_warnings(rows):

@@ -82,12 +82,39 @@ def follow_videos(config: FollowConfig, observer: RunObserver | None = None) -> 
     for warning in inputs.warnings:
         observer.warn(warning)
     samples = list(inputs.samples) if config.pixels_only else with_initial_states(inputs.samples)
+    actions, references = _find_sources(config, samples)
+    evaluator = FollowEvaluator(config=config, overrides=config.overrides(), actions=actions, references=references)
+    summary = run_samples(samples, evaluator, observer)
+    for warning in row_warnings(summary.rows):
+        observer.warn(warning)
+    return close_gate(config, summary)
+
+
+def plan_following(config: FollowConfig) -> dict[str, list[str]]:
+    """Return which actions and which real clip each video would be compared with, in words by the id of the video."""
+    samples = find_videos(config).samples
+    actions, references = _find_sources(config, samples)
+    lines: dict[str, list[str]] = {sample.id: [] for sample in samples}
+    for id, path in actions.items():
+        lines[id].append(f"actions: {path.name}")
+    for id, real in references.items():
+        lines.setdefault(id, []).append(f"real clip: {real.video}{f', view {real.view}' if real.view else ''}")
+    return {id: own or ["nothing to compare with"] for id, own in lines.items()}
+
+
+def _find_sources(
+    config: FollowConfig, samples: Sequence[VideoSample]
+) -> tuple[dict[str, Path], dict[str, VideoSample]]:
+    """Return the files of actions and the real clips of videos by their ids.
+
+    Raises:
+        UsageError: there are neither of any.
+    """
     actions = {s.id: path for s in samples if (path := find_actions(config.actions, s)) is not None}
     references: dict[str, VideoSample] = {}
     if config.reference is not None:
         listed = find_samples(config.reference, out=config.out, camera_key=config.camera_key).samples
-        view = config.reference_view
-        viewed = [replace(s, view=view or s.view) for s in listed]
+        viewed = [replace(s, view=config.reference_view or s.view) for s in listed]
         references = {s.id: s for s in with_camera_option(viewed, config.camera, mirrored=config.mirrored)}
         if len(listed) == len(samples) == 1:
             references = {samples[0].id: references[listed[0].id]}
@@ -96,11 +123,7 @@ def follow_videos(config: FollowConfig, observer: RunObserver | None = None) -> 
             f"{config.source}: there are neither actions of its videos ($actions DIR with files such as "
             f"{samples[0].id}.npz, or the key actions of the manifest) nor real clips of the same ids ($reference PATH)"
         )
-    evaluator = FollowEvaluator(config=config, overrides=config.overrides(), actions=actions, references=references)
-    summary = run_samples(samples, evaluator, observer)
-    for warning in row_warnings(summary.rows):
-        observer.warn(warning)
-    return close_gate(config, summary)
+    return actions, references
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,11 +15,14 @@ from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.video_result import GroundingResult
 from kinebench_drake.metrics.executable import FailureVerdict
+from kinebench_drake.metrics.following import MIN_FRAMES, PoseSeries, measure_following
 from kinebench_drake.metrics.kinematic_result import KinematicResult
 from kinebench_drake.report.timeline import covered
 from kinebench_drake.results.row import CauseEntry
 from kinebench_drake.segments import segments
 from kinebench_drake.suites.closed_loop.loop import EpisodeRun, Round
+from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack
+from kinebench_drake.track import GripperTrack
 
 ASTRAY_M = 0.03
 ASTRAY_RAD = float(np.deg2rad(15.0))
@@ -52,6 +55,8 @@ class ClipEvidence:
     """True if the fingers hold an object at the end, as commanded."""
     violations: tuple[tuple[str, int, int], ...] = ()
     """Infeasible parts of the motion: kind, first and last frame."""
+    disobedience: str | None = None
+    """What shows that the clip does not follow its actions; None if it does, if that is open, or without actions."""
 
 
 def find_cause(run: EpisodeRun, results: Sequence[KinematicResult]) -> CauseEntry | None:
@@ -75,7 +80,17 @@ def _evidence(done: Round, result: KinematicResult) -> ClipEvidence:
         finger_width_executed_m=np.full(frames, np.nan) if execution is None else execution.finger_width_m,
         gripping=done.commands is None or done.commands.gripping,
         violations=tuple((v.kind.value, v.frame_start, v.frame_end) for v in result.violations),
+        disobedience=find_disobedience(track, done.actions),
     )
+
+
+def find_disobedience(track: GripperTrack, actions: ActionTrack | None) -> str | None:
+    """Return what shows that the track of a clip does not follow its actions, by the measures of `follow`, or None."""
+    if actions is None or min(len(track.t_s), len(actions.t_s)) < MIN_FRAMES:
+        return None
+    commanded = PoseSeries(t_s=actions.t_s, X=actions.X_BG, finger_width_m=actions.finger_width_m)
+    following = measure_following(PoseSeries.of_track(track), commanded, np.random.default_rng(0))
+    return following.reason if following.follows is False else None
 
 
 def _unexplained(grounding: GroundingResult) -> tuple[Anomaly, ...]:
@@ -139,6 +154,11 @@ def _video_faults(clip: ClipEvidence) -> _Evidence:
             yield slice(start, min(end + 1, frames)), f"the video has {name.replace('_', ' ')}", None, None
 
 
+def _disobedience(clip: ClipEvidence) -> _Evidence:
+    if clip.disobedience is not None:
+        yield slice(0, len(clip.tracked)), f"the video did not follow its actions: {clip.disobedience}", None, None
+
+
 def _deviations(clip: ClipEvidence) -> _Evidence:
     distance, angle = pose_difference(clip.X_BG_generated, clip.X_BG_executed)
     gap = np.abs(clip.finger_width_generated_m - clip.finger_width_executed_m)
@@ -164,6 +184,7 @@ def _lost_fingers(clip: ClipEvidence) -> _Evidence:
 _TESTS = (
     (FailureVerdict.GROUNDING, _lost_poses),
     (FailureVerdict.GENERATION, _video_faults),
+    (FailureVerdict.GENERATION, _disobedience),
     (FailureVerdict.EXECUTION, _deviations),
     (FailureVerdict.GROUNDING, _lost_fingers),  # last, as most unknown gaps do no harm
 )

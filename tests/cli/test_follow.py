@@ -182,3 +182,17 @@ def test_a_tile_is_its_own_reference(film, follow, tmp_path):
     assert (row.follows, row.lag_frames) == (True, pytest.approx(0.0, abs=0.1))
     assert row.deviation_m == pytest.approx(0.0, abs=1e-6)
     assert row.reference_error_m < 1e-3
+
+
+def test_a_dry_run_lists_actions_and_real_clips(film, program, tmp_path):
+    for path in ("videos/a.mp4", "videos/b.mp4", "videos/c.mp4", "real/b.mp4"):
+        film(path, frames=FRAMES)
+    write_poses(tmp_path / "actions" / "a.csv", motion())
+    options = ("--actions", tmp_path / "actions", "--reference", tmp_path / "real", "--reference-view", "1")
+    code, out, _ = program("follow", tmp_path / "videos", "--dry-run", *options)
+    assert code == 0
+    lines = {line.split(":")[0]: line for line in out.splitlines()}
+    assert lines["a"].endswith("actions: a.csv")
+    assert lines["b"].endswith("real clip: b.mp4, view 1")
+    assert lines["c"].endswith("nothing to compare with")
+    assert "nothing was measured or written" in out

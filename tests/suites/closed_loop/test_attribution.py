@@ -8,7 +8,15 @@ import pytest
 from kinebench_drake.anomaly import Anomaly, AnomalyKind
 from kinebench_drake.geometry import make_pose, rotation_exp
 from kinebench_drake.metrics.executable import FailureVerdict
-from kinebench_drake.suites.closed_loop.attribution import LOST_FRAMES, LOST_SHARE, ClipEvidence, attribute
+from kinebench_drake.suites.closed_loop.attribution import (
+    LOST_FRAMES,
+    LOST_SHARE,
+    ClipEvidence,
+    attribute,
+    find_disobedience,
+)
+from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack
+from kinebench_drake.track import GripperTrack
 
 FRAMES = 30
 
@@ -145,3 +153,22 @@ def test_a_deviation_of_the_executed_gripper_is_attributed_to_execution(
     cause = attribute([astray(metres, turn_rad, gap_m)], "")
     assert cause.verdict == verdict.value
     assert cause.frame_start == (None if verdict is FailureVerdict.TASK else 12)
+
+
+def test_a_clip_that_does_not_follow_its_actions_is_attributed_to_generation() -> None:
+    disobedient = replace(clip(), disobedience="3 of 30 frames within 2 cm and 10 degrees")
+    cause = attribute([clip(), disobedient], "")
+    assert (cause.verdict, cause.round) == (FailureVerdict.GENERATION.value, 1)
+    assert cause.text.startswith("the video did not follow its actions: 3 of 30 frames")
+
+
+@pytest.mark.parametrize(("order", "follows"), [(1, True), (-1, False)])
+def test_following_of_actions_is_judged_as_in_finished_clips(order: int, follows: bool) -> None:
+    X = clip().X_BG_generated
+    t_s = np.arange(FRAMES, dtype=np.float64)
+    gap = np.full(FRAMES, 0.08)
+    sure = np.ones(FRAMES)
+    track = GripperTrack(t_s=t_s, X_CH=X, X_BG=X, tracked=sure > 0, confidence=sure, finger_width_m=gap)
+    actions = ActionTrack(t_s=t_s, X_BG=X[::order], finger_width_m=gap, q=np.zeros((FRAMES, 7)))
+    assert (find_disobedience(track, actions) is None) == follows
+    assert find_disobedience(track, None) is None
