@@ -183,7 +183,7 @@ class LinkAgreement:
         reason = f"contours of the links on edges in {len(self.own)} frames: {text}"
         if int((self.own > 0).sum()) < _JUDGED_FRAMES:
             return None, f"{reason}; {_JUDGED_FRAMES} frames that show them are needed"
-        thirds = np.array_split(np.arange(len(self.own)), 3)
+        thirds = np.array_split(np.flatnonzero(self.own), 3)
         leads = [means["own"] - means[name] for name in self.controls]
         parts = [float((self.own[k] - values[k]).mean()) for k in thirds for values in self.controls.values()]
         if min(leads) < bounds.LEAD or min(parts) < -LEAST_LEAD:

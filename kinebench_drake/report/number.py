@@ -34,6 +34,7 @@ SHARES = {
         ("executable", "Executable", "share of samples that a robot can execute as they are seen"),
         ("feasible", "Feasible", "share of samples whose motion exceeds no limit"),
         ("trajopt_feasible", "Trajectory optimised", BY_NAME["trajopt_feasible"].meaning),
+        ("follows", "Follows", BY_NAME["follows"].meaning),
     )
 }
 """Truth values; a missing one counts as false, of `executable` everywhere, of the others in the bound."""
@@ -41,6 +42,7 @@ _MEANS = (
     *("tracked_fraction", "ik_success_rate", "manipulability_mean", "manipulability_min", "manipulability_cost_mean"),
     *("joint_limit_margin_min", "sparc", "sparc_rotation", "ldlj", "slowdown_min", "velocity_ratio_max"),
     *("acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max", "self_distance_min_m", "table_distance_min_m"),
+    *("follow_share", "deviation_m", "deviation_rad", "deviation_px", "deviation_hands"),
 )
 NUMBERS = {**SHARES, **{name: BY_NAME[name] for name in ("progress", *_MEANS)}}
 """Numbers that are compared, in the order of the table."""

@@ -11,6 +11,7 @@ from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.metrics.executable import LOST, UNCHECKED, reason_kind
 from kinebench_drake.metrics.trust import trust_lines
 from kinebench_drake.report.histogram import Histogram, count_values
+from kinebench_drake.report.horizon import draw_horizon, horizon_lines
 from kinebench_drake.report.metric import BY_NAME, Metric, MetricLayout, layout_of
 from kinebench_drake.report.run import read_results
 from kinebench_drake.report.sample import (
@@ -135,6 +136,8 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
         ],
         groups=[(key, groups) for key in ("task", "model") if (groups := _group_rows(rows, key, statistics))],
         histograms=_count_metrics(rows, total, layout),
+        horizon=draw_horizon(out, rows),
+        horizon_lines=horizon_lines(rows, _bootstrap_seed(results)),
         gallery=[(title, [views[row.id] for row in chosen]) for title, chosen in (("Worst", worst), ("Best", best))]
         if large
         else [],
