@@ -6,6 +6,7 @@ import click
 
 from benchmarks import poses, speed, verdicts
 from benchmarks.options import COUNT, EXISTING_FOLDER, FILE, FOLDER, CommandGroup, jobs_option
+from kinebench_drake.models.panda.description import GripperKind
 
 
 @click.group(
@@ -69,15 +70,37 @@ def tolerance(episodes: int, out: Path, jobs: int) -> None:
     draw_tolerance(attempts, out)
 
 
-@main.command(epilog="\b\nExample:\n  python -m benchmarks following --work planted")
-@click.option("--work", type=FOLDER, required=True, help="Folder for the clips and their output folder.")
-def following(work: Path) -> None:
-    """Draw clips with planted lags, gains and a drift by the learned world model; compare them with their actions."""
+@main.command(
+    epilog="\b\nExamples:\n"
+    "  python -m benchmarks following --work planted\n"
+    "  python -m benchmarks following --work joints --joints recordings/ --gripper robotiq-2f85\n"
+    "  python -m benchmarks following --pairs tiles/"
+)
+@click.option("--work", type=FOLDER, help="Folder for the clips and their output folder; not needed with --pairs.")
+@click.option("--joints", type=EXISTING_FOLDER, help="Recordings NAME_VIEW.mp4 with their joint angles in NAME.json.")
+@click.option("--gripper", type=click.Choice([k.value for k in GripperKind]), default="auto", help="Their gripper.")
+@click.option("--limit", type=COUNT, help="Recordings at most.")
+@click.option("--pairs", type=EXISTING_FOLDER, help="Tiles of a real row above a generated one, CHECKPOINT_SAMPLE.mp4.")
+def following(work: Path | None, joints: Path | None, gripper: str, limit: int | None, pairs: Path | None) -> None:
+    """Compare clips with actions or real clips: planted faults, recordings of others, or tiles beside their labels.
+
+    Without --joints and --pairs clips with planted lags, gains and a drift are drawn by the learned world model.
+    """
+    from benchmarks.followed import compare_labels, compare_models, measure_joints, measure_pairs
     from benchmarks.following import measure_planted
     from benchmarks.options import EXAMPLES
+    from benchmarks.pair_labels import read_pair_labels
 
-    for line in measure_planted(EXAMPLES, Path("examples/worldmodel/weights"), work / "clips", work / "out"):
-        click.echo(line)
+    if pairs is not None:
+        views = measure_pairs(pairs)
+        lines = [*compare_labels(views, read_pair_labels()), "", *compare_models(views)]
+    elif work is None:
+        raise click.UsageError("--work FOLDER is needed")
+    elif joints is not None:
+        lines = [*measure_joints(joints, work, GripperKind(gripper), limit)]
+    else:
+        lines = [*measure_planted(EXAMPLES, Path("examples/worldmodel/weights"), work / "clips", work / "out")]
+    click.echo("\n".join(lines))
 
 
 @main.command(epilog="\b\nExample:\n  python -m benchmarks tasks --seed 4 --out docs/tasks.jpg")
