@@ -94,12 +94,10 @@ def plan_following(config: FollowConfig) -> dict[str, list[str]]:
     """Return which actions and which real clip each video would be compared with, in words by the id of the video."""
     samples = find_videos(config).samples
     actions, references = _find_sources(config, samples)
-    lines: dict[str, list[str]] = {sample.id: [] for sample in samples}
-    for id, path in actions.items():
-        lines[id].append(f"actions: {path.name}")
-    for id, real in references.items():
-        lines.setdefault(id, []).append(f"real clip: {real.video}{f', view {real.view}' if real.view else ''}")
-    return {id: own or ["nothing to compare with"] for id, own in lines.items()}
+    texts = [(id, f"actions: {path.name}") for id, path in actions.items()]
+    texts += [(id, ", view ".join(filter(None, (f"real clip: {r.video}", r.view)))) for id, r in references.items()]
+    nothing = ["nothing to compare with"]
+    return {s.id: [text for id, text in texts if id == s.id] or nothing for s in samples}
 
 
 def _find_sources(
