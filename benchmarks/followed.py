@@ -1,6 +1,7 @@
 """Following in footage of others: recordings with their joint angles, and tiles of real rows above generated ones."""
 
 import json
+import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
@@ -41,26 +42,22 @@ def write_manifests(folder: Path, work: Path) -> dict[str, Path]:
         work: output folder.
     """
     episodes = sorted(folder.glob("*.json"))
-    work.mkdir(parents=True, exist_ok=True)
-    for path in episodes:
-        data: Any = json.loads(path.read_text())
-        q = np.array(data["joints_rad_and_gripper"], np.float64)[:, :7]
-        np.savez(work / f"{path.stem}.npz", q=q, t_s=data["frame_period_s"] * np.arange(len(q)))
+    data: list[Any] = [json.loads(path.read_text()) for path in episodes]
     manifests = {}
     for kind, shift in (("own", 0), ("other", SHIFT)):
+        home = work / kind
+        home.mkdir(parents=True, exist_ok=True)
         lines = []
         for k, path in enumerate(episodes):
-            actions = episodes[(k + shift) % len(episodes)].stem
-            videos = sorted(video for video in folder.glob(f"{path.stem}_*.mp4") if "wrist" not in video.stem)
-            period_s = json.loads(path.read_text())["frame_period_s"]
-            for video in videos:
-                link = work / kind / video.name
-                link.parent.mkdir(exist_ok=True)
-                if not link.exists():
-                    link.symlink_to(video.resolve())
-                line = {"video": video.name, "actions": f"../{actions}.npz", "frame_period_s": period_s}
-                lines.append(json.dumps(line))
-        manifests[kind] = work / kind / "manifest.jsonl"
+            q = np.array(data[k]["joints_rad_and_gripper"], np.float64)[:, :7]
+            np.savez(home / f"{path.stem}.npz", q=q, t_s=data[k]["frame_period_s"] * np.arange(len(q)))
+            actions = f"{episodes[(k + shift) % len(episodes)].stem}.npz"
+            for video in sorted(folder.glob(f"{path.stem}_*.mp4")):
+                if "wrist" not in video.stem:
+                    shutil.copyfile(video, home / video.name)
+                    line = {"video": video.name, "actions": actions, "frame_period_s": data[k]["frame_period_s"]}
+                    lines.append(json.dumps(line))
+        manifests[kind] = home / "manifest.jsonl"
         manifests[kind].write_text("\n".join(lines) + "\n")
     return manifests
 

@@ -14,6 +14,7 @@ from kinebench_drake.results.aggregate import group_by
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.segments import spread
 from kinebench_drake.stats import PERCENTILES, resampled_indices
 
 _CURVES = {"deviation_m": ("deviation [mm]", 1e3), "deviation_px": ("deviation [px]", 1.0)}
@@ -24,17 +25,22 @@ def horizon_lines(rows: Sequence[SampleRow], seed: int) -> list[str]:
     """State of each model the median deviation, how many clips drift, and the frame by which half of them do."""
     lines = []
     for model, own in _by_model(rows).items():
-        onset = np.array([np.inf if row.drift_from_frame is None else row.drift_from_frame for row in own])
-        values = [("half drift by frame", onset, "{:.0f}")]
-        for name, (label, factor) in _CURVES.items():
-            numbers = [getattr(row, name) for row in own]
-            if any(value is not None for value in numbers):
-                column = np.array([np.inf if value is None else factor * value for value in numbers])
-                values.append((f"median {label}", column, "{:.1f}"))
-        stated = [f"{label} {_format_median(column, pattern, seed)}" for label, column, pattern in values]
-        drifted = f"{int(np.isfinite(onset).sum())} of {len(own)} clips drift"
-        lines.append("; ".join([f"{model}: {drifted}", *stated]))
+        onset = _column(own, "drift_from_frame")
+        columns = {label: factor * _column(own, name) for name, (label, factor) in _CURVES.items()}
+        stated = [f"{model}: {int(np.isfinite(onset).sum())} of {len(own)} clips drift"]
+        stated.append(f"half drift by frame {_format_median(onset, '{:.0f}', seed)}")
+        stated += [
+            f"median {label} {_format_median(values, '{:.1f}', seed)}"
+            for label, values in columns.items()
+            if np.isfinite(values).any()
+        ]
+        lines.append("; ".join(stated))
     return lines
+
+
+def _column(rows: Sequence[SampleRow], name: str) -> Array:
+    """Return a number of each row (N,), infinite where it has none."""
+    return np.array([np.inf if (value := getattr(row, name)) is None else value for row in rows])
 
 
 def _format_median(values: Array, pattern: str, seed: int) -> str:
@@ -60,17 +66,16 @@ def draw_horizon(out: Path, rows: Sequence[SampleRow]) -> Markup | None:
     figure, axes = new_figure(7.2, 4.2, 2, sharex=True)
     for k, (model, own) in enumerate(models.items()):
         measured = [factor * one[names[0]] for one in curves[model] if names[0] in one]
-        length = max(map(len, measured), default=0)
-        frames = np.arange(length)
-        table = np.array([np.pad(values, (0, length - len(values)), constant_values=np.nan) for values in measured])
-        is_drawn = np.isfinite(table).any(axis=0) if length else frames > 0
+        frames = np.arange(max(map(len, measured), default=0))
+        table = np.array([spread(values, np.arange(len(values)), len(frames)) for values in measured])
         options = {"color": style(k)[0], "linewidth": 1.2, "label": plain(model)}
-        if is_drawn.any():
-            low, middle, high = np.nanpercentile(table[:, is_drawn], [25, 50, 75], axis=0)
-            axes[0, 0].plot(frames[is_drawn], middle, **options)
-            axes[0, 0].fill_between(frames[is_drawn], low, high, color=style(k)[0], alpha=0.15, linewidth=0)
-        onset = np.array([np.inf if row.drift_from_frame is None else row.drift_from_frame for row in own])
-        axes[1, 0].step(frames, (onset[:, None] > frames).mean(axis=0), where="post", **options)
+        if len(table):
+            drawn = np.flatnonzero(np.isfinite(table).any(axis=0))
+            low, middle, high = np.nanpercentile(table[:, drawn], [25, 50, 75], axis=0)
+            axes[0, 0].plot(drawn, middle, **options)
+            axes[0, 0].fill_between(drawn, low, high, color=style(k)[0], alpha=0.15, linewidth=0)
+        kept = _column(own, "drift_from_frame")[:, None] > frames
+        axes[1, 0].step(frames, kept.mean(axis=0), where="post", **options)
     axes[0, 0].set_ylabel(label)
     axes[1, 0].set(xlabel="frame", ylabel="not drifted", ylim=(-0.03, 1.03))
     add_legend(figure, list(models))
