@@ -71,6 +71,8 @@ _LAG_JOINT_SIGMA_RAD = 1e-3
 """Standard deviation of joint angles where lags are compared: free ones would hide a lag [rad]."""
 LEAST_LEAD = 0.03
 """Least lead of the agreement of the moving links at their lag over that at other lags."""
+_LEAD_SIGMAS = 3.0
+"""Standard errors of the frames by which a stated motion leads."""
 _JUDGED_FRAMES = 8
 """Least number of frames with links by which a motion is judged."""
 _SEEN_CELLS = 20
@@ -181,16 +183,15 @@ class LinkAgreement:
         means = self.means
         text = ", ".join(f"{name} {mean:.0%}" for name, mean in means.items())
         reason = f"contours of the links on edges in {len(self.own)} frames: {text}"
-        if int((self.own > 0).sum()) < _JUDGED_FRAMES:
+        visible = np.flatnonzero(self.own)
+        if len(visible) < _JUDGED_FRAMES:
             return None, f"{reason}; {_JUDGED_FRAMES} frames that show them are needed"
-        thirds = np.array_split(np.flatnonzero(self.own), 3)
-        leads = [means["own"] - means[name] for name in self.controls]
-        parts = [float((self.own[k] - values[k]).mean()) for k in thirds for values in self.controls.values()]
-        if min(leads) < bounds.LEAD or min(parts) < -LEAST_LEAD:
-            return (
-                None,
-                f"{reason}; the actions have to lead every control by {bounds.LEAD:.0%}, in no third to fall behind",
-            )
+        for name, values in self.controls.items():
+            lead = (self.own - values)[visible]
+            least = max(LEAST_LEAD, _LEAD_SIGMAS * float(lead.std()) / np.sqrt(len(lead)))
+            thirds = [float(part.mean()) for part in np.array_split(lead, 3)]
+            if means["own"] - means[name] < least or min(thirds) < -LEAST_LEAD:
+                return None, f"{reason}; {name} actions do not agree clearly less, by {least:.0%} and in each third"
         return True, reason
 
 

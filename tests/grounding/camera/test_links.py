@@ -140,7 +140,7 @@ def test_too_little_evidence_is_refused_with_the_links_in_view(agreement, runner
 
 @pytest.mark.parametrize(
     ("own", "control", "frames", "follows"),
-    [(0.5, 0.2, 12, True), (0.5, 0.45, 12, None), (0.5, 0.2, 6, None), (0.0, 0.0, 12, None)],
+    [(0.5, 0.2, 12, True), (0.5, 0.48, 12, None), (0.5, 0.2, 6, None), (0.0, 0.0, 12, None)],
 )
 def test_links_confirm_a_motion_that_leads_every_control(own, control, frames, follows):
     shares = np.full(frames, own)
