@@ -156,6 +156,14 @@ class Linked(Tools):
         return SimpleNamespace(calibrate=lambda *_, **__: fit, compare_links=compare)
 
 
+def test_poses_of_another_gripper_contradict_nothing(film, follow, tmp_path):
+    film("videos/a.mp4", frames=FRAMES, result={"gripper": GripperKind.ROBOTIQ_2F85})
+    write_poses(tmp_path / "actions" / "a.csv", motion()[::-1])
+    row = follow(actions=tmp_path / "actions")["a"]
+    assert (row.follows, row.deviation_m, row.drift_from_frame) == (None, None, None)
+    assert "how the Robotiq 2F-85 is mounted is not stated" in row.follow_reason
+
+
 def test_links_decide_where_the_gripper_does_not(film, follow, tmp_path):
     lost = {"frames": FRAMES, "is_sure": False, "result": {"gripper": GripperKind.ROBOTIQ_2F85}}
     for id in ("good", "wrong"):
