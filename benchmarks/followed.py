@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.markdown import table
 from benchmarks.pair_labels import PairLabels
@@ -25,10 +26,13 @@ from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.config import FollowConfig
 from kinebench_drake.runs.follow import DRIFT_SHARE, follow_videos
 from kinebench_drake.stats import PERCENTILES, paired_mean_difference, resampled_indices
-from kinebench_drake.suites.closed_loop.gap import structural_similarity
 
 SHIFT = 4
 """Places by which episodes are exchanged: neighbours may be of one task."""
+_WINDOW = 7
+"""Side of the windows of structural similarity [px]."""
+_RANGE = 255.0
+"""Range of the values of pixels."""
 VIEWS = {"ext1": "left", "ext2": "middle"}
 """Columns of a tile by the view of the labels; the right one is that of the hand."""
 
@@ -149,6 +153,31 @@ def measure_pairs(folder: Path) -> list[PairedView]:
                 )
             )
     return views
+
+
+def structural_similarity(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
+    """Return the mean structural similarity of two grey images (H, W) over all windows of 7 x 7 px in them.
+
+    Z. Wang, A. Bovik, H. Sheikh, E. Simoncelli, "Image quality assessment: from error visibility to structural
+    similarity", IEEE TIP 13, 2004.
+    """
+    n = _WINDOW**2
+    edge = _WINDOW // 2
+    x = a.astype(np.float64)
+    y = b.astype(np.float64)
+
+    def mean(image: Array) -> Array:
+        return np.asarray(cv2.boxFilter(image, -1, (_WINDOW, _WINDOW)))[edge:-edge, edge:-edge]
+
+    mean_x = mean(x)
+    mean_y = mean(y)
+    product = mean_x * mean_y
+    squares = mean_x**2 + mean_y**2
+    covariance = n / (n - 1) * (mean(x * y) - product)
+    variances = n / (n - 1) * (mean(x * x + y * y) - squares)
+    c_1 = (0.01 * _RANGE) ** 2
+    c_2 = (0.03 * _RANGE) ** 2
+    return float(((2.0 * product + c_1) * (2.0 * covariance + c_2) / ((squares + c_1) * (variances + c_2))).mean())
 
 
 def _grey(image: np.ndarray[Any, np.dtype[np.uint8]]) -> np.ndarray[Any, np.dtype[np.uint8]]:

@@ -14,7 +14,7 @@ from benchmarks.trajectory import Trajectory, add_noise
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.kinematic_result import KinematicResult, Value
-from kinebench_drake.results.direction import BOUND, HIGHER_IS_BETTER, LOWER_IS_BETTER, improves
+from kinebench_drake.results.direction import BOUND, HIGHER_IS_BETTER, LOWER_IS_BETTER, worst_value
 from kinebench_drake.track import GripperTrack
 
 STAGES = 2
@@ -24,6 +24,11 @@ _FAR_M = (1.4, 2.0)
 _PAST_RAD = (0.3, 1.0)
 """Range of the angle of an unreachable posture past a joint limit [rad]."""
 _SHOULDER_M = np.array([0.0, 0.0, 0.333])
+
+
+def improves(name: str, before: float, after: float) -> bool:
+    """Return whether `after` is better than `before`; never for metrics that are neither good nor bad."""
+    return after != before and worst_value(name, (before, after)) == before
 
 
 class TrackKind(Enum):

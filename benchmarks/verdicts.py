@@ -207,38 +207,6 @@ def robots(count: int, seed: int, jobs: int) -> None:
 
 
 @click.group()
-def recordings() -> None:
-    """Motions with and without faults, stored as recorders store them, and audits of these files."""
-
-
-@recordings.command(name="make", epilog="\b\nExample:\n  python -m benchmarks recordings make --out stored --jobs 2")
-@click.option("--out", type=FOLDER, required=True, help="Folder; created if absent.")
-@click.option("--count", type=COUNT, default=1000, show_default=True, help="Clean, and as many faulty.", metavar="N")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@jobs_option
-def recordings_make(out: Path, count: int, seed: int, jobs: int) -> None:
-    """Draw clean and faulty motions and store them in twelve ways, with recordings.jsonl."""
-    from benchmarks.recordings import write_recordings
-
-    with click.progressbar(write_recordings(out, count, seed, jobs), length=2 * count) as truths:
-        for _ in truths:
-            pass
-    click.echo(out)
-
-
-@recordings.command(name="check", epilog="\b\nExample:\n  python -m benchmarks recordings check results stored")
-@click.argument("results", type=EXISTING_FOLDER)
-@click.argument("stored", type=EXISTING_FOLDER)
-def recordings_check(results: Path, stored: Path) -> None:
-    """Compare an audit's output folder RESULTS with the ground truth in the folder STORED."""
-    from benchmarks.recordings import read_recordings, recordings_table
-    from kinebench_drake.results.store import read_rows
-
-    for line in recordings_table(list(read_rows(results).values()), read_recordings(stored)):
-        click.echo(line)
-
-
-@click.group()
 def painted() -> None:
     """Clips that the learned world model paints from known numbers, and their faults by these numbers."""
 
@@ -315,4 +283,4 @@ def precision(videos: tuple[Path, ...], work: Path, jobs: int, out: Path | None)
         raise SystemExit(1)
 
 
-COMMANDS = (precision, causes, loss, validity, extractors, generated, trajectories, recordings, painted, pairs)
+COMMANDS = (precision, causes, loss, validity, extractors, generated, trajectories, painted, pairs)

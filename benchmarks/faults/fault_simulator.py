@@ -14,6 +14,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, to_quaternion, transform_points
 from kinebench_drake.models.panda.description import HAND_LINK
 from kinebench_drake.suites.simulator import GRIPPER_LINKS, CameraImage, Simulator
+from training.viewpoint import place_camera
 
 Warp = Callable[[Array], Array]
 """Maps points (N, 3) of the gripper to warped ones, in the frame of panda_hand [m]."""
@@ -46,7 +47,7 @@ class FaultSimulator(Simulator):
         """Render without faults, from `camera`."""
         self._fault = None
         self.set_visible(GRIPPER_LINKS, visible=True)
-        self.set_camera(camera)
+        place_camera(self, camera)
 
     @override
     def render(self) -> CameraImage:

@@ -16,6 +16,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, join_videos, render_video
 from kinebench_drake.suites.simulator import Snapshot
+from training.viewpoint import place_camera
 
 LEAST_VISIBLE = 0.01
 """Share of the image that the gripper must cover for a fault to be visible."""
@@ -130,9 +131,9 @@ def render_view(
     def displace(i: int) -> None:
         offset = course[i] * direction
         if change.kind is ViewKind.TURN:
-            simulator.set_camera(move_camera(camera, rotation=np.deg2rad(offset)))
+            place_camera(simulator, move_camera(camera, rotation=np.deg2rad(offset)))
         elif change.kind is ViewKind.MOVE:
-            simulator.set_camera(move_camera(camera, translation=offset))
+            place_camera(simulator, move_camera(camera, translation=offset))
 
     video = _render_prepared(simulator, snapshots, range(len(snapshots)), displace)
     return _zoom(video, 1.0 + course) if change.kind is ViewKind.ZOOM else video

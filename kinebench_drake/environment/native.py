@@ -6,7 +6,6 @@ that needs them: the dynamic linker then finds each library by name, without LD_
 """
 
 import ctypes
-import json
 import os
 import sys
 import warnings
@@ -136,26 +135,10 @@ def prepare_vulkan() -> str:
 
 
 def damage() -> str | None:
-    """Return what is wrong with the unpacked libraries; None if they are intact or there are none. Loads them all.
+    """Return which of the unpacked libraries cannot be loaded, and why; None if all are or there are none.
 
     A truncated library can crash the process that loads it: call this in a separate process.
     """
-    if not ROOT.exists():
-        return None
-    if not (ROOT / "wanted.txt").is_file():
-        return f"{ROOT} was never finished"
-    for purpose in ("drake", "open3d", "vulkan"):
-        for library in _listed(purpose):
-            if not library.is_file():
-                return f"{library.relative_to(ROOT)} is missing in {ROOT}"
-    driver = ROOT / "lavapipe.json"
-    if "mesa" in (ROOT / "wanted.txt").read_text().split():
-        try:
-            library = Path(json.loads(driver.read_text())["ICD"]["library_path"])
-        except (OSError, ValueError, KeyError, TypeError):
-            return f"{driver} cannot be read"
-        if not (library.is_file() and library.is_relative_to(ROOT)):
-            return f"{driver} names {library}: the environment was moved or copied"
     try:
         for purpose in ("drake", "open3d", "vulkan"):
             _preload(purpose)

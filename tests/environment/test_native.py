@@ -1,5 +1,4 @@
 import ctypes.util
-import json
 import os
 import shutil
 import subprocess
@@ -110,9 +109,7 @@ def unpacked(root: Path) -> Path:
     """What native.sh leaves where only the driver is missing; here the driver is a library that can be loaded."""
     (root / "driver.c").write_text("int driver(void) { return 1; }")
     subprocess.run(["cc", "-shared", "-fPIC", "driver.c", "-o", "libdriver.so"], cwd=root, check=True)
-    (root / "lavapipe.json").write_text(json.dumps({"ICD": {"library_path": str(root / "libdriver.so")}}))
     (root / "vulkan.txt").write_text("libdriver.so\n")
-    (root / "wanted.txt").write_text("mesa\n")
     return root
 
 
@@ -130,14 +127,9 @@ def test_an_undamaged_library_folder_is_not_reported_as_damaged(unpacked: Path) 
 @pytest.mark.parametrize(
     ("file", "content", "message"),
     [
-        ("wanted.txt", None, "never finished"),
-        ("libdriver.so", None, "libdriver.so is missing"),
+        ("libdriver.so", None, "cannot load libdriver.so"),
         ("libdriver.so", "torn", "cannot load libdriver.so"),
-        ("vulkan.txt", "usr/libvulkan.so", "usr/libvulkan.so is missing"),
-        ("lavapipe.json", None, "lavapipe.json cannot be read"),
-        ("lavapipe.json", "{}", "lavapipe.json cannot be read"),
-        ("lavapipe.json", json.dumps({"ICD": {"library_path": "/gone/x.so"}}), "moved or copied"),
-        ("lavapipe.json", json.dumps({"ICD": {"library_path": "/bin/sh"}}), "moved or copied"),
+        ("vulkan.txt", "usr/libvulkan.so", "cannot load libvulkan.so"),
     ],
 )
 def test_damage_names_the_missing_or_broken_file(unpacked: Path, file: str, content: str | None, message: str) -> None:
