@@ -17,7 +17,7 @@ from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.io.atomic import atomic_path
+from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.files import open_file
 
 MOST_BYTES = 2**31
@@ -159,17 +159,11 @@ def read_npy(path: Path, most: int = MOST_BYTES) -> NDArray[np.generic]:
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write an npz file; equal arrays give equal bytes."""
-    with atomic_path(path) as part, part.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+    write_atomically(path, pack_arrays(arrays))
 
 
-def pack_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
+def pack_arrays(arrays: Mapping[str, Any]) -> bytes:
     """Return the bytes of an npz file of arrays in the order of the mapping; equal arrays give equal bytes."""
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, array in arrays.items():
-            data = io.BytesIO()
-            np.lib.format.write_array(data, np.ascontiguousarray(array), allow_pickle=False)
-            entry = zipfile.ZipInfo(f"{name}.npy")  # of a fixed date: clock times would change the bytes
-            archive.writestr(entry, data.getvalue(), compress_type=zipfile.ZIP_DEFLATED)
+    np.savez_compressed(buffer, **arrays)
     return buffer.getvalue()
