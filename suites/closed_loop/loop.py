@@ -20,7 +20,6 @@ from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.description import TCP_LINK
 from kinebench_drake.suites.clock import (
-    CONTROL_PERIOD_S,
     FRAME_PERIOD_S,
     MAX_FRAME_PERIOD_S,
     MIN_FRAME_PERIOD_S,
@@ -56,8 +55,6 @@ class LoopOptions:
     rounds: int = 3
     """Largest number of clips of an episode."""
     control: Control = Control.JOINTS
-    action_repeat: int | None = None
-    """Control steps per frame; None: by the duration of frames."""
     frame_period_s: float = FRAME_PERIOD_S
     """Task time between two frames [s]."""
     clip_timing: ClipTiming | None = None
@@ -85,7 +82,6 @@ class LoopOptions:
         return {
             "rounds": self.rounds,
             "control": self.control.value,
-            "action_repeat": self.action_repeat,
             "frame_period_s": self.frame_period_s,
             "clip_timing": None if self.clip_timing is None else self.clip_timing.value,
             "pixels_only": self.pixels_only,
@@ -282,11 +278,8 @@ class ClosedLoop:
 
     def plan_round(self, track: GripperTrack, state: RobotState) -> tuple[Commands | None, str | None]:
         """Return the commands of a track, or the reason why there are none."""
-        t_s: Array = track.t_s
-        if (repeat := self._options.action_repeat) is not None:
-            t_s = CONTROL_PERIOD_S * repeat * np.arange(len(t_s), dtype=np.float64)
         try:
-            return self._planner.plan(track.X_BG, track.finger_width_m, track.tracked, t_s, state), None
+            return self._planner.plan(track.X_BG, track.finger_width_m, track.tracked, track.t_s, state), None
         except UnmeasurableError as error:
             return None, str(error)
 

@@ -20,7 +20,7 @@ _KIND = "suite"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,40}")
 """Names of splits and variants: parts of file names and of ids in the page."""
 _SETTINGS = (
-    *("rounds", "control", "action_repeat", "frame_period_s", "clip_timing", "pixels_only"),
+    *("rounds", "control", "frame_period_s", "clip_timing", "pixels_only"),
     *("prompts", "negative_prompt", "condition"),
 )
 """Settings of a run that change the results of its episodes."""

@@ -66,12 +66,6 @@ class SuiteConfig(RunConfig):
     control: Annotated[Control, Option("Commands of the robot: joint angles from Drake, or poses.", key=None)] = (
         Control.JOINTS
     )
-    action_repeat: Annotated[
-        int | None,
-        Option(
-            "Control steps (at 20 Hz) per frame.  [default: by the duration of frames]", least=1, metavar="N", key=None
-        ),
-    ] = None
     frame_period_s: Annotated[float, Option("Task time between two frames.", metavar="SECONDS", key=None)] = (
         FRAME_PERIOD_S
     )
