@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.grounding.camera.states import make_posture_states, parse_posture, read_states
+from kinebench_drake.grounding.camera.states import POSTURES, make_posture_states, parse_posture, read_states
 from kinebench_drake.models.panda.description import RobotPart, hand_from_tcp
 from tests.grounding.camera.robot import postures
 
@@ -89,3 +89,10 @@ def test_named_postures_are_within_the_joints_limits(model):
     for name in ("home", "rest"):
         q = parse_posture(name)
         assert ((q >= model.lower) & (q <= model.upper)).all()
+
+
+def test_states_of_some_frames_leave_the_others_unknown(tmp_path, model):
+    np.savez(tmp_path / "joints.npz", q=np.tile(POSTURES["home"], (6, 1)))
+    states = read_states(tmp_path / "joints.npz", None, None, np.arange(6.0), model).only(np.array([1, 4]))
+    assert np.flatnonzero(states.has_hand).tolist() == np.flatnonzero(states.has_posture).tolist() == [1, 4]
+    assert states.q[4] == pytest.approx(POSTURES["home"])
