@@ -349,7 +349,7 @@ class FollowEvaluator(VideoEvaluator):
         except UnmeasurableError as error:
             raise UnmeasurableError(f"no camera is named, and none fits the actions: {error}") from None
         setting = CameraSetting(camera=fit.camera, table_height_m=sample.table_height_m)
-        lag_frames = None if fit.links is None else -fit.links.lag.frames
+        lag_frames = None if fit.links is None else 0.0 - fit.links.lag.frames
         return _CameraFit(sample=sample.filmed_by(setting, CameraSource.FITTED), used=used, lag_frames=lag_frames)
 
     def _ground(self, sample: VideoSample, tools: Resources) -> "GroundingResult":
