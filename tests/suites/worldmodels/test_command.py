@@ -77,7 +77,7 @@ def test_a_program_gets_the_requested_actions_as_json(
         ('import sys; sys.exit("first\\nno such checkpoint")', "failed with status 1: no such checkpoint"),
         ("import os; os.kill(os.getpid(), 9)", "failed with signal 9"),
         ("print(1)", "wrote no video"),
-        ('import json, sys; open(json.load(sys.stdin)["out"], "w").write("<a>")', "a web page"),
+        ('import json, sys; open(json.load(sys.stdin)["out"], "w").write("<a>")', "not a video"),
     ],
 )
 def test_a_failed_program_is_reported_by_status_and_last_line(
