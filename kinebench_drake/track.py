@@ -82,7 +82,7 @@ class JointTrack:
     t_s: Array
     """(T,) task time [s]."""
     q: Array
-    """(T, 7) joint angles [rad]; the best within limits where the status is not ok; NaN where not tracked."""
+    """(T, J) joint angles [rad]; the best within limits where the status is not ok; NaN where not tracked."""
     status: tuple[IkStatus, ...]
     """(T,) outcome of each frame."""
     position_error_m: Array
@@ -93,7 +93,7 @@ class JointTrack:
     def __post_init__(self) -> None:
         """Check shapes against the number of frames."""
         n = len(self.t_s)
-        _check("q", self.q, (n, 7))
+        _check("q", self.q, (n, *self.q.shape[1:2]))
         for name in ("position_error_m", "rotation_error_rad"):
             _check(name, getattr(self, name), (n,))
         if len(self.status) != n:

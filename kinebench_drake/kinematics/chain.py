@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from pydrake.multibody.tree import BodyIndex
 
 from kinebench_drake.geometry import Array, cross, invert, make_pose
-from kinebench_drake.models.robot import N_JOINTS, Robot
+from kinebench_drake.models.robot import Robot
 
 Positions = Callable[[ArrayLike, ArrayLike | None], Array]
-"""Function from arm postures (N, 7) [rad] and finger widths (N,) [m] to all positions (N, n) of the Drake plant."""
+"""Function from arm postures (N, J) [rad] and finger widths (N,) [m] to all positions (N, n) of the Drake plant."""
 
 
 class LinkChain:
@@ -74,7 +74,11 @@ class LinkChain:
         self._carried = [drake.GetBodyByName(name) for name in first]
         self._to_zero = invert([home[name] for name in first])
         self._arm = [[joint.name() for joint in moving].index(name) for name in robot.joints]
-        self._upstream = np.zeros((len(moving) + 1, N_JOINTS), dtype=bool)
+        self.turns = turning[self._arm, 0]
+        """(J,) False for joints of the arm that slide."""
+        self.n_joints = len(robot.joints)
+        """Number J of joints of the arm."""
+        self._upstream = np.zeros((len(moving) + 1, self.n_joints), dtype=bool)
         for i, parent in enumerate(self._parents):
             self._upstream[i + 1] = self._upstream[parent] | (np.array(self._arm) == i)
 
@@ -83,20 +87,20 @@ class LinkChain:
     def _read_masses(self, drake: Any, robot: Robot, bodies: Sequence[Any]) -> None:
         """Read what each arm joint moves and the next does not: one rigid body at the zero posture, fingers at rest."""
         context = drake.CreateDefaultContext()
-        drake.SetPositions(context, self._positions(np.zeros((1, N_JOINTS)), None)[0])
+        drake.SetPositions(context, self._positions(np.zeros((1, self.n_joints)), None)[0])
         last = {b.index(): int(self.carries(b.name()).sum()) for b in bodies if b.index() != drake.world_body().index()}
-        parts = [[body for body, count in last.items() if count == j + 1] for j in range(N_JOINTS)]
+        parts = [[body for body, count in last.items() if count == j + 1] for j in range(self.n_joints)]
         inertia = [drake.CalcSpatialInertia(context, drake.world_frame(), part).CopyToFullMatrix6() for part in parts]
         self._inertia, self._center, self._mass = _split_inertia(np.array(inertia))
         self._gravity = np.asarray(drake.gravity_field().gravity_vector())
-        self._reflected = np.zeros(N_JOINTS)
+        self._reflected = np.zeros(self.n_joints)
         for index in drake.GetJointActuatorIndices():
             actuator = drake.get_joint_actuator(index)
             if actuator.joint().name() in robot.joints:
                 self._reflected[robot.joints.index(actuator.joint().name())] = actuator.default_reflected_inertia()
 
     def motions(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Array:
-        """Return motions (N, stages, 4, 4) from the zero posture to postures `q` (N, 7) [rad]; stage 0 is at rest.
+        """Return motions (N, stages, 4, 4) from the zero posture to postures `q` (N, J) [rad]; stage 0 is at rest.
 
         The pose of a link is `motions[:, stage[link]] @ home[link]`. Finger gap `finger_width_m` (N,) [m]; the plant's
         default where None or NaN.
@@ -125,11 +129,11 @@ class LinkChain:
         return M
 
     def poses(self, q: ArrayLike, link: str) -> Array:
-        """Return the poses (N, 4, 4) of `link` in B [m] at postures `q` (N, 7) [rad]."""
+        """Return the poses (N, 4, 4) of `link` in B [m] at postures `q` (N, J) [rad]."""
         return np.asarray(self.motions(q)[:, self.stage[link]] @ self.home[link])
 
     def axes(self, motions: Array) -> tuple[Array, Array]:
-        """Return the unit axes (N, 7, 3) of the arm's joints in B and a point (N, 7, 3) [m] on each, from `motions`."""
+        """Return the unit axes (N, J, 3) of the arm's joints in B and a point (N, J, 3) [m] on each, from `motions`."""
         M = motions[:, [self._parents[i] for i in self._arm]]
         axis = self._axis[self._arm]
         point = self._point[self._arm]
@@ -138,34 +142,45 @@ class LinkChain:
             np.asarray((M[..., :3, :3] @ point[..., None])[..., 0] + M[..., :3, 3]),
         )
 
+    def twists(self, motions: Array) -> tuple[Array, Array]:
+        """Return the twist of each arm joint at unit rate, by `motions`: turn (N, J, 3), speed (N, J, 3) at B's origin.
+
+        They are in B [rad/rad or rad/m, and m/rad or m/m].
+        """
+        axis, point = self.axes(motions)
+        speed = cross(point, axis)
+        turns = self.turns[:, None]
+        return np.where(turns, axis, 0.0), np.where(turns, speed, axis)
+
     def carries(self, link: str) -> Array:
-        """Return (7,): 1 for each arm joint between base and `link`, else 0."""
+        """Return (J,): 1 for each arm joint between base and `link`, else 0."""
         return np.asarray(self._upstream[self.stage[link]], dtype=np.float64)
 
     def jacobians(self, q: ArrayLike) -> Array:
-        """Return the geometric Jacobians (N, 6, 7) of the TCP in B at `q` (N, 7) [rad], rows as `ArmPlant.jacobian`."""
+        """Return the geometric Jacobians (N, 6, J) of the TCP in B at `q` (N, J) [rad], rows as `ArmPlant.jacobian`."""
         return self.poses_and_jacobians(q)[1]
 
     def poses_and_jacobians(self, q: ArrayLike) -> tuple[Array, Array]:
-        """Return the poses (N, 4, 4) of the TCP in B [m] and its Jacobians (N, 6, 7) at `q` (N, 7) [rad]."""
+        """Return the poses (N, 4, 4) of the TCP in B [m] and its Jacobians (N, 6, J) at `q` (N, J) [rad]."""
         M = self.motions(q)
         tcp = self._tcp_link
         X = M[:, self.stage[tcp]] @ self.home[tcp]
         axis, point = self.axes(M)
-        J = np.concatenate([axis, cross(axis, X[:, None, :3, 3] - point)], axis=-1)
+        turns = self.turns[:, None]
+        speed = np.where(turns, cross(axis, X[:, None, :3, 3] - point), axis)
+        J = np.concatenate([np.where(turns, axis, 0.0), speed], axis=-1)
         return X, np.ascontiguousarray(np.swapaxes(J, -1, -2))
 
     def torques(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """Return the joint torques (..., N, 7) [N m] of motions: those of `ArmPlant.torque`, at once.
+        """Return the joint torques (..., N, J) [N m] of motions: those of `ArmPlant.torque`, at once.
 
         Newton-Euler equations of all links about the origin of B (R. Featherstone, "Rigid Body Dynamics Algorithms",
-        2008, sections 2.13 and 5.3), without friction, fingers and other joints at rest: angles `q` (N, 7) [rad],
-        speeds `v` (..., N, 7) [rad/s], accelerations `a` (..., N, 7) [rad/s^2].
+        2008, sections 2.13 and 5.3), without friction, fingers and other joints at rest: angles `q` (N, J) [rad],
+        speeds `v` (..., N, J) [rad/s], accelerations `a` (..., N, J) [rad/s^2].
         """
         v, a = (np.asarray(rates, dtype=np.float64)[..., None] for rates in (v, a))
         motions = self.motions(q)
-        axis, point = self.axes(motions)
-        lever = cross(point, axis)  # (axis, lever) is the twist of a joint about the origin
+        axis, lever = self.twists(motions)
         M = motions[:, [i + 1 for i in self._arm]]
         R = M[..., :3, :3]
         center = (R @ self._center[..., None])[..., 0] + M[..., :3, 3]

@@ -159,7 +159,7 @@ class Proximity:
     distance_m: float
     """Signed distance [m], negative: depth of penetration."""
     gradient: Array
-    """(7,) derivative of the distance with respect to the joint angles [m/rad]."""
+    """(J,) derivative of the distance with respect to the joint angles [m/rad]."""
 
 
 class CollisionModel:
@@ -200,7 +200,7 @@ class CollisionModel:
     def self_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
         """Return the least distance between two links that must not touch, exact to 1e-6 m for polytopes.
 
-        Postures `q` (N, 7) [rad]; finger gap `finger_width_m` (N,) [m], the plant's default where None or NaN.
+        Postures `q` (N, J) [rad]; finger gap `finger_width_m` (N,) [m], the plant's default where None or NaN.
         """
         return self._clearances(q, finger_width_m)[0]
 
@@ -238,7 +238,7 @@ class CollisionModel:
         have not moved enough.
 
         Args:
-            q: (N, 7) postures [rad], finite.
+            q: (N, J) postures [rad], finite.
             finger_width_m: (N,) finger gap [m]; None for the plant's default.
             every: number of postures from one that is measured in any case to the next.
             within_m: distance of interest [m].
@@ -328,7 +328,7 @@ class CollisionModel:
         return least, solids, near
 
     def table_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
-        """Return the height of the lowest point of all moving links above the table, at postures `q` (N, 7) [rad].
+        """Return the height of the lowest point of all moving links above the table, at postures `q` (N, J) [rad].
 
         The signed distance of a convex body from a half space is that of its lowest point. Finger gap
         `finger_width_m` (N,) [m]; the plant's default where None or NaN.
@@ -346,7 +346,7 @@ class CollisionModel:
         return Clearance(distance_m=distance, pair=tuple(pairs))
 
     def near_pairs(self, q: ArrayLike, within_m: float, finger_width_m: float | None = None) -> list[Proximity]:
-        """Return the pairs of solids nearer than `within_m` [m] at posture `q` (7,) [rad] and gradients, nearest first.
+        """Return the pairs of solids nearer than `within_m` [m] at posture `q` (J,) [rad] and gradients, nearest first.
 
         A link made of several solids appears once per near solid. The gradient is n . (J_A(a) - J_B(b)) with a and b
         the nearest points, J their translational Jacobians and n the direction from b to a (from a to b in
@@ -356,8 +356,8 @@ class CollisionModel:
         width = None if finger_width_m is None or np.isnan(finger_width_m) else finger_width_m
         query = self._plant.query(q, width)
         M = self._chain.current(self._plant.context)
-        axis, point = (array[0] for array in self._chain.axes(M[None]))
-        moment = _cross(point.T, axis.T).T
+        axis, moment = (array[0] for array in self._chain.twists(M[None]))
+        moment = np.asfortranarray(moment)
         near = []
         for pair in query.ComputeSignedDistancePairwiseClosestPoints(within_m):
             A = self._solids[pair.id_A]
@@ -393,7 +393,7 @@ class CollisionModel:
         """Yield those of the `wanted` pairs (S, O) of a moving solid and an obstacle that are nearer than `within_m`.
 
         Numbers of both, their distance by Drake, and a lower bound of it that needs no iteration: the width of a slab
-        between them [m]. Posture `q` (7,) [rad] with its motions `M` (stages, 4, 4).
+        between them [m]. Posture `q` (J,) [rad] with its motions `M` (stages, 4, 4).
         """
         query = self._plant.query(q, finger_width_m)
         for pair in query.ComputeSignedDistancePairwiseClosestPoints(within_m):
@@ -408,7 +408,7 @@ class CollisionModel:
                     yield *place, max(pair.distance, bound) if pair.distance < 0.0 else pair.distance, bound
 
     def _rate(self, link: str, p: Array, n: Array, axis: Array, moment: Array) -> Array:
-        """Return the speed (7,) along `n` of the point `p` fixed to a link per joint rate [m/rad].
+        """Return the speed (J,) along `n` of the point `p` fixed to a link per joint rate [m/rad].
 
         n . (axis x (p - point)) = axis . (p x n) + n . moment, with moment = point x axis.
         """
@@ -426,7 +426,7 @@ def _link_names(A: Solid, B: Solid) -> tuple[str, str]:
 
 
 def _arguments(q: ArrayLike, finger_width_m: ArrayLike | None) -> tuple[Array, Array]:
-    """Return postures (N, 7) [rad] and finger gaps (N,) [m], NaN for the plant's default, as arrays.
+    """Return postures (N, J) [rad] and finger gaps (N,) [m], NaN for the plant's default, as arrays.
 
     Raises:
         UsageError: there are not as many gaps as postures.

@@ -35,10 +35,10 @@ def solve_stepwise(plant: ArmPlant, X_BG: Array, q_start: Array) -> tuple[Array,
     """Solve the poses (N, 4, 4) one after the other, each near the posture before.
 
     Returns:
-        The joint path (N, 7) [rad] up to the first pose that is not reached, NaN from there on, and the solution of
+        The joint path (N, J) [rad] up to the first pose that is not reached, NaN from there on, and the solution of
         that pose; None if all poses are reached.
     """
-    q = np.full((len(X_BG), 7), np.nan)
+    q = np.full((len(X_BG), len(q_start)), np.nan)
     seed = q_start
     for i, X in enumerate(X_BG):
         solution = solve_pose(plant, X, seed)
@@ -49,7 +49,7 @@ def solve_stepwise(plant: ArmPlant, X_BG: Array, q_start: Array) -> tuple[Array,
 
 
 def plan_continuation(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Array:
-    """Plan a joint path (N, 7) [rad] at times `t_s` (N,) [s] that moves the elbow ahead of later poses; NaN if none.
+    """Plan a joint path (N, J) [rad] at times `t_s` (N,) [s] that moves the elbow ahead of later poses; NaN if none.
 
     The path of `continue_path` may begin with another elbow angle than the start's; the difference at t = 0 is faded
     out by `blend_from_start`.
@@ -58,12 +58,12 @@ def plan_continuation(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) 
 
 
 def blend_from_start(plant: ArmPlant, t_s: Array, X_BG: Array, q: Array, q_start: Array) -> Array:
-    """Return the path `q` (N, 7) [rad] changed to begin at `q_start` (7,), the elbow moving to the path in 2 s."""
+    """Return the path `q` (N, J) [rad] changed to begin at `q_start` (J,), the elbow moving to the path in 2 s."""
     return posture_solver(plant).nearest(X_BG, q + (1.0 - minimum_jerk(t_s / 2.0))[:, None] * (q_start - q[0]))
 
 
 def continue_path(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Array:
-    """Search a path (T, 7) [rad] that continues from a posture near the first pose: faster than `search_path`.
+    """Search a path (T, J) [rad] that continues from a posture near the first pose: faster than `search_path`.
 
     Dynamic programming chooses postures of few frames (anchors), first on the start's branch, then on all. A cubic
     spline through them is projected onto the poses and, if needed, relaxed. All NaN if the result passes a limit or has
@@ -72,11 +72,11 @@ def continue_path(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> A
     for path in _candidates(plant, t_s, X_BG, q_start):
         if is_sound(plant, t_s, path):
             return path
-    return np.full((len(t_s), 7), np.nan)
+    return np.full((len(t_s), len(q_start)), np.nan)
 
 
 def _candidates(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Iterator[Array]:
-    """Yield paths (T, 7), which may pass limits, the ones that cost least time first. Arguments as `continue_path`."""
+    """Yield paths (T, J), which may pass limits, the ones that cost least time first. Arguments as `continue_path`."""
     solver = posture_solver(plant)
     anchors = _spread_anchors(tuple(t_s), ANCHORS_S[0])
     guess = _interpolate_layers(plant, t_s, anchors, solver.along_branch(X_BG[anchors.frames], q_start), q_start)
@@ -121,6 +121,6 @@ def _spread_anchors(times: tuple[float, ...], spacing_s: float) -> _Anchors:
 def _interpolate_layers(
     plant: ArmPlant, t_s: Array, anchors: _Anchors, layers: list[Array], q_start: Array
 ) -> Array | None:
-    """Return the path (T, 7) near the cheapest of `layers`, the postures of the anchors; None if an anchor has none."""
+    """Return the path (T, J) near the cheapest of `layers`, the postures of the anchors; None if an anchor has none."""
     path = find_cheapest_path(plant, t_s[anchors.frames], within_limits(plant, layers), q_start, SPACING_RAD)
     return anchors.weights @ path if len(path) > 1 and np.isfinite(path).all() else None

@@ -27,7 +27,7 @@ class IkSolution:
     """Outcome of inverse kinematics for one pose."""
 
     q: Array
-    """(7,) joint angles within limits [rad]: a solution if the status is ok, else the posture of least pose error."""
+    """(J,) joint angles within limits [rad]: a solution if the status is ok, else the posture of least pose error."""
     status: IkStatus
     """OK, JOINT_LIMIT (reached only with a joint past its limit) or UNREACHABLE (not even then)."""
     position_error_m: float
@@ -37,7 +37,7 @@ class IkSolution:
 
 
 def find_least_excess(plant: ArmPlant, X_BG: Array) -> Array | None:
-    """Find the posture (7,) [rad] that reaches `X_BG` (4, 4) with the least limit excess; None if no posture does.
+    """Find the posture (J,) [rad] that reaches `X_BG` (4, 4) with the least limit excess; None if no posture does.
 
     All branches on _SWEEP angles of the redundancy, then a finer sweep about the best of them.
     """
@@ -52,7 +52,7 @@ def find_least_excess(plant: ArmPlant, X_BG: Array) -> Array | None:
 
 
 def solve_pose(plant: ArmPlant, X_BG: Array, q_seed: Array) -> IkSolution:
-    """Solve joint angles that bring the TCP to `X_BG` (4, 4) [m], made orthonormal first, near `q_seed` (7,) [rad].
+    """Solve joint angles that bring the TCP to `X_BG` (4, 4) [m], made orthonormal first, near `q_seed` (J,) [rad].
 
     Newton steps from the seed converge in most cases (some 0.15 ms). If not, the posture within limits nearest to the
     seed is used, of all that reach the pose. If there is none, Newton steps start from those of least limit excess;

@@ -43,7 +43,7 @@ class TubeProblem:
     X_BG: Array
     """(T, 4, 4) poses of the TCP in the base [m]."""
     q: Array
-    """(T, 7) initial joint path [rad]."""
+    """(T, J) initial joint path [rad]."""
     finger_width_m: Array | None
     """(T,) gap between the finger pads [m]; None for the plant's default."""
     table_tolerance_m: float
@@ -55,7 +55,7 @@ class TubeProblem:
         return LimitSet(lower=self.plant.lower, upper=self.plant.upper, rates=self.plant.rate_limits)
 
     def errors(self, q: Array) -> Array:
-        """Return the pose errors (T, 6) [m] of `q` (T, 7) [rad]: rotation by its arm, position, expressed in B."""
+        """Return the pose errors (T, 6) [m] of `q` (T, J) [rad]: rotation by its arm, position, expressed in B."""
         return self._errors(self.plant.forward_path(q))
 
     def _errors(self, X_now: Array) -> Array:
@@ -64,7 +64,7 @@ class TubeProblem:
         return e
 
     def linearise(self, q: Array) -> PoseLinearisation:
-        """Linearise the poses about the joint path `q` (T, 7) [rad]."""
+        """Linearise the poses about the joint path `q` (T, J) [rad]."""
         both = [self.plant.forward_and_jacobian(row) for row in q]
         J = np.array([J for _, J in both])
         J[:, :3] *= ROTATION_ARM_M
@@ -90,14 +90,14 @@ class JointTrajectory:
     """Cubic B-spline in joint space with cached quantities along it."""
 
     def __init__(self, problem: TubeProblem, basis: SplineBasis, control: Array) -> None:
-        """Set the control points (n, 7) [rad]."""
+        """Set the control points (n, J) [rad]."""
         self.problem = problem
         self.basis = basis
         self.control = control
 
     @cached_property
     def q(self) -> Array:
-        """(T, 7) joint angles at the frames [rad]."""
+        """(T, J) joint angles at the frames [rad]."""
         return np.asarray(self.basis.values(self.problem.t_s) @ self.control)
 
     @cached_property
@@ -114,7 +114,7 @@ class JointTrajectory:
 
     @cached_property
     def usage(self) -> tuple[Array | None, ...]:
-        """|Control points| (n - k, 7) of speed, acceleration and jerk over their limits; None without a limit."""
+        """|Control points| (n - k, J) of speed, acceleration and jerk over their limits; None without a limit."""
         return tuple(
             None if limit is None else np.abs(D @ self.control) / limit
             for D, limit in zip(self.basis.derivatives[1:], self.problem.limits.rates, strict=True)
@@ -135,13 +135,13 @@ class JointTrajectory:
 
     @cached_property
     def motion(self) -> tuple[Array, Array, Array]:
-        """Joint angles [rad], speeds [rad/s] and accelerations [rad/s^2] (N, 7) at the samples."""
+        """Joint angles [rad], speeds [rad/s] and accelerations [rad/s^2] (N, J) at the samples."""
         q, v, a = (self.basis.evaluate(self.control, self.samples_s, order) for order in range(3))
         return q, v, a
 
     @cached_property
     def torque(self) -> Array:
-        """Joint torques (N, 7) [N m] at the samples."""
+        """Joint torques (N, J) [N m] at the samples."""
         return self.problem.plant.chain.torques(*self.motion)
 
     @cached_property

@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.segments import spread
 
 COST_OFFSET = 1e-6
@@ -19,7 +18,7 @@ def cost(w_translation: Array) -> Array:
     """Return PyRoki's manipulability cost 1 / (w + 1e-6) (...,) of translational manipulabilities; lower is better.
 
     Source: `manipulability_residual` of PyRoki (C. M. Kim et al., "PyRoki: A Modular Toolkit for Robot Kinematic
-    Optimization", 2025), with w of the translational 3x7 Jacobian.
+    Optimization", 2025), with w of the translational 3xJ Jacobian.
     """
     return np.asarray(1.0 / (w_translation + COST_OFFSET))
 
@@ -59,13 +58,13 @@ class Manipulability:
     """
 
     full: Array
-    """(T,) w of the full 6x7 Jacobian in radians and metres [m^3 rad^3 / rad^6]."""
+    """(T,) w of the full 6xJ Jacobian in radians and metres [m^3 rad^3 / rad^6]."""
     translation: Array
     """(T,) w of the three rows of linear velocity [m^3 / rad^3]."""
     rotation: Array
     """(T,) w of the three rows of angular velocity, dimensionless."""
     limited: Array
-    """(T,) `full` times the seven joints' `limit_weight`: 0 with any joint at its limit."""
+    """(T,) `full` times the joints' `limit_weight`: 0 with any joint at its limit."""
     cost: Array
     """(T,) PyRoki's cost of `translation`."""
     condition: Array
@@ -73,9 +72,9 @@ class Manipulability:
 
 
 def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = None) -> Manipulability:
-    """Compute the manipulability at each row of `q` (T, 7) [rad], NaN where unknown.
+    """Compute the manipulability at each row of `q` (T, J) [rad], NaN where unknown.
 
-    `J` (T, 6, 7) are its Jacobians (`LinkChain.jacobians`), computed if None. `limited`: scaling the columns of a
+    `J` (T, 6, J) are its Jacobians (`LinkChain.jacobians`), computed if None. `limited`: scaling the columns of a
     square J by the limit weights multiplies w by their product, which is used here too.
 
     Raises:
@@ -83,14 +82,18 @@ def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = 
     """
     J = np.asarray(plant.chain.jacobians(q) if J is None else J, dtype=np.float64)
     q = np.asarray(q, dtype=np.float64)
-    if q.ndim != 2 or q.shape[1] != N_JOINTS or J.shape != (len(q), 6, N_JOINTS):
-        raise UsageError(f"J has shape {J.shape} and q {q.shape}, expected (T, 6, {N_JOINTS}) and (T, {N_JOINTS})")
+    n = plant.chain.n_joints
+    if q.ndim != 2 or q.shape[1] != n or J.shape != (len(q), 6, n):
+        raise UsageError(f"J has shape {J.shape} and q {q.shape}, expected (T, 6, {n}) and (T, {n})")
     finite = np.isfinite(q).all(axis=-1) & np.isfinite(J).all(axis=(1, 2))
     J_finite = J[finite]
     scale = np.repeat([1.0, 1.0 / characteristic_length(plant)], 3)[:, None]
     parts = (scale * J_finite, J_finite[:, :3], J_finite[:, 3:])
     full, rotation, linear = (np.linalg.svd(part, compute_uv=False) for part in parts)  # greatest first
-    w = np.prod(full, axis=-1) / scale[3:].prod()
+    if n < 6:  # no determinant that the scale would factor out of
+        w = np.prod(np.linalg.svd(J_finite, compute_uv=False), axis=-1)
+    else:
+        w = np.prod(full, axis=-1) / scale[3:].prod()
     w_linear = np.prod(linear, axis=-1)
     values = {
         "full": w,

@@ -4,7 +4,6 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, rotation_log
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.robot import N_JOINTS
 
 ROTATION_ARM_M = 0.1
 """Length that weighs rotation error against position error [m/rad]: 10 mm weigh as much as 5.7 degrees."""
@@ -18,6 +17,11 @@ SLOW_GAIN = 1e-4
 _PATH_STEPS = 6
 _PATH_STEP_RAD = 0.5
 _PATH_DAMPING = 1e-6
+_ROWS_STEPS = 25
+_ROWS_STEP_RAD = 0.7
+_LEAST_DAMPING = 1e-12
+_LEAST_TURN = 1e-6  # angular part of a left null vector below which there is no axis
+_ROWS_DAMPING = 1e-4  # far from the pose, relative to the square of the error [m]
 
 
 def _error(X_BG: Array, X_now: Array) -> Array:
@@ -35,13 +39,33 @@ def _error(X_BG: Array, X_now: Array) -> Array:
     return e
 
 
+def followed_error(J: Array, e: Array) -> tuple[Array, Array]:
+    """Return the errors (..., 6) that an arm has to remove, and those that its joints are moved by.
+
+    With six joints and more both are the errors `e` (..., 6) themselves. Five joints reach a position and the
+    direction of one axis: their Jacobian (6, 5) leaves out the motion along its left null vector, whose angular part is
+    that axis.
+    The turn about it does not count, and is the one that comes with the rest of the motion.
+    """
+    if J.shape[-1] > 5:
+        return e, e
+    missing = np.linalg.svd(J)[0][..., -1]
+    turn = missing[..., :3] / np.maximum(np.linalg.norm(missing[..., :3], axis=-1, keepdims=True), _LEAST_TURN)
+    counted = e.copy()
+    counted[..., :3] -= turn * (turn * e[..., :3]).sum(axis=-1, keepdims=True)
+    moved = counted.copy()
+    share = np.maximum(np.linalg.norm(missing[..., :3], axis=-1, keepdims=True), _LEAST_TURN)
+    moved[..., :3] -= turn * (missing[..., 3:] * e[..., 3:]).sum(axis=-1, keepdims=True) / share
+    return counted, moved
+
+
 def _step(J: Array, e: Array, damping: float, below: Array, above: Array) -> Array:
-    """Return the least damped change (7,) of the joints that removes `e`, within the bounds `below`, `above` (7,).
+    """Return the least damped change (J,) of the joints that removes `e`, within the bounds `below`, `above` (J,).
 
     A joint that would pass its bound is set to it; the other joints correct the remaining error.
     """
-    dq = np.zeros(N_JOINTS)
-    free = np.ones(N_JOINTS, dtype=bool)
+    dq = np.zeros(J.shape[1])
+    free = np.ones(J.shape[1], dtype=bool)
     while free.any():
         A = J[:, free]
         M = A @ A.T
@@ -68,19 +92,19 @@ def solve_newton(
     Args:
         plant: the robot.
         X_BG: wanted pose (4, 4) of the TCP in the base [m].
-        q: starting posture (7,) [rad]; clipped to the limits when `bounded`.
+        q: starting posture (J,) [rad]; clipped to the limits when `bounded`.
         bounded: True to keep joint limits.
         iterations: greatest number of Jacobians to compute.
 
     Returns:
-        The best posture (7,) [rad] and its weighted error [m].
+        The best posture (J,) [rad] and its weighted error [m].
     """
-    lower, upper = (plant.lower, plant.upper) if bounded else (np.full(N_JOINTS, -np.inf), np.full(N_JOINTS, np.inf))
+    lower, upper = (plant.lower, plant.upper) if bounded else (np.full(len(q), -np.inf), np.full(len(q), np.inf))
     weight = np.array([ROTATION_ARM_M] * 3 + [1.0] * 3)
     q = np.clip(q, lower, upper)
     X_now, J = plant.forward_and_jacobian(q)
-    e = weight * _error(X_BG, X_now)
-    cost = float(e @ e)
+    counted, e = followed_error(weight[:, None] * J, weight * _error(X_BG, X_now))
+    cost = float(counted @ counted)
     damping = 1e-8
     slow = 0
     for _ in range(iterations):
@@ -90,8 +114,8 @@ def solve_newton(
         size = float(np.abs(step).max())
         q_new = np.clip(q + step * min(1.0, 0.7 / max(size, 1e-12)), lower, upper)
         X_new, J_new = plant.forward_and_jacobian(q_new)
-        e_new = weight * _error(X_BG, X_new)
-        cost_new = float(e_new @ e_new)
+        counted, e_new = followed_error(weight[:, None] * J_new, weight * _error(X_BG, X_new))
+        cost_new = float(counted @ counted)
         if cost_new < cost:
             slow = slow + 1 if cost_new > (1.0 - SLOW_GAIN) * cost else 0
             q = q_new
@@ -107,8 +131,37 @@ def solve_newton(
     return q, float(np.sqrt(cost))
 
 
+def solve_newton_rows(plant: ArmPlant, X_BG: Array, q: Array, *, bounded: bool = False) -> Array:
+    """Solve poses `X_BG` (n, 4, 4), each from a posture of `q` (n, J) [rad]: (n, J), NaN where steps do not converge.
+
+    Newton steps for all rows at once, damped by the error (N. Yamashita and M. Fukushima, "On the rate of convergence
+    of the Levenberg-Marquardt method", Computing Supplement 15, 2001); `bounded` clips postures to the limits.
+    """
+    q = q.copy()
+    solved = np.full_like(q, np.nan)
+    rows = np.flatnonzero(np.isfinite(q).all(axis=-1))
+    weight = np.repeat([ROTATION_ARM_M, 1.0], 3)
+    for _ in range(_ROWS_STEPS):
+        X_now, J = plant.chain.poses_and_jacobians(q[rows])
+        counted, e = followed_error(weight[:, None] * J, weight * pose_twists(X_now, X_BG[rows]))
+        square = (counted * counted).sum(axis=-1)
+        reached = square < REACHED_M**2
+        solved[rows[reached]] = q[rows[reached]]
+        rows = rows[~reached]
+        if not len(rows):
+            break
+        A = weight[:, None] * J[~reached]
+        A_T = np.swapaxes(A, -1, -2)
+        damping = (_ROWS_DAMPING * square[~reached] + _LEAST_DAMPING)[:, None, None] * np.eye(6)
+        step = (A_T @ np.linalg.solve(A @ A_T + damping, e[~reached][..., None]))[..., 0]
+        q[rows] += step * np.minimum(1.0, _ROWS_STEP_RAD / np.abs(step).max(axis=-1, initial=1e-12, keepdims=True))
+        if bounded:
+            q[rows] = np.clip(q[rows], plant.lower, plant.upper)
+    return solved
+
+
 def solve_newton_path(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
-    """Solve poses `X_BG` (n, 4, 4) from the postures of a path `q` (n, 7) [rad], limits ignored; NaN rows stay NaN.
+    """Solve poses `X_BG` (n, 4, 4) from the postures of a path `q` (n, J) [rad], limits ignored; NaN rows stay NaN.
 
     Newton steps of least joint motion for all frames at once. Frames that do not converge keep the last step's posture.
     """
@@ -125,7 +178,7 @@ def solve_newton_path(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
 
 
 def damped_pseudoinverses(J: Array) -> Array:
-    """Return damped pseudo-inverses (n, 7, 6) of Jacobians (n, 6, 7)."""
+    """Return damped pseudo-inverses (n, J, 6) of Jacobians (n, 6, J)."""
     J_T = np.swapaxes(J, -1, -2)
     return np.asarray(J_T @ np.linalg.inv(J @ J_T + _PATH_DAMPING * np.eye(6)))
 

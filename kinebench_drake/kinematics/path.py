@@ -37,7 +37,7 @@ _LARGEST_STEP_RAD = 0.3
 
 
 def peak_ratio(plant: ArmPlant, t_s: Array, q: Array, noise_rad: float = 0.0) -> float:
-    """Return the greatest speed or acceleration / limit of a path (T, 7) [rad] at times (T,) [s]; 0 for one posture.
+    """Return the greatest speed or acceleration / limit of a path (T, J) [rad] at times (T,) [s]; 0 for one posture.
 
     Limits are widened by the noise, as in `relax`.
     """
@@ -50,7 +50,7 @@ def peak_ratio(plant: ArmPlant, t_s: Array, q: Array, noise_rad: float = 0.0) ->
 def relax(
     plant: ArmPlant, t_s: Array, X_BG: Array, q: Array, noise_rad: float = 0.0, fixed: NDArray[np.bool_] | None = None
 ) -> Array:
-    """Return a path (T, 7) [rad] through the same poses with lower joint rates than the path `q` (T, 7).
+    """Return a path (T, J) [rad] through the same poses with lower joint rates than the path `q` (T, J).
 
     Gauss-Newton (Levenberg-Marquardt) on one variable per frame, the step along its null direction, with a banded
     system (J. Nocedal and S. Wright, Numerical Optimization, 2006, ch. 10). It minimises the sum of squares of joint
@@ -61,11 +61,11 @@ def relax(
     Args:
         t_s: (T,) times [s], increasing.
         X_BG: (T, 4, 4) poses of the TCP in the base [m].
-        q: (T, 7) postures that reach them [rad], all finite.
+        q: (T, J) postures that reach them [rad], all finite.
         noise_rad: standard deviation of the noise in the joints [rad], by which limits are widened.
         fixed: (T,) frames that keep their posture; None if none does.
     """
-    if len(q) < 2:
+    if len(q) < 2 or q.shape[1] <= 6:  # no null motion
         return q
     problem = _Smoothing(plant, t_s, noise_rad)
     solver = posture_solver(plant)
@@ -115,17 +115,17 @@ class _Smoothing:
         self._rest = plant.robot.rest_q
         self._lower = plant.lower + _NEAR_LIMIT_RAD
         self._upper = plant.upper - _NEAR_LIMIT_RAD
-        v = 1.0 / (dt * plant.velocity_limits + np.sqrt(2.0) * noise)  # (T-1, 7)
+        v = 1.0 / (dt * plant.velocity_limits + np.sqrt(2.0) * noise)  # (T-1, J)
         self._stencils = [[-v, v]]
         if len(dt) > 1:
             mean = 0.5 * (dt[1:] + dt[:-1])
             before = 1.0 / (dt[:-1] * mean)
             after = 1.0 / (dt[1:] * mean)
             stencil = np.stack([before, -before - after, after])
-            self._stencils.append([*(stencil / (accelerations + noise * np.linalg.norm(stencil, axis=0)))])  # (T-2, 7)
+            self._stencils.append([*(stencil / (accelerations + noise * np.linalg.norm(stencil, axis=0)))])  # (T-2, J)
 
     def residuals(self, q: Array) -> list[Array]:
-        """Return speeds (T-1, 7) and accelerations (T-2, 7) over their limits."""
+        """Return speeds (T-1, J) and accelerations (T-2, J) over their limits."""
         return [
             np.asarray(sum(c * q[k : len(q) - len(stencil) + 1 + k] for k, c in enumerate(stencil)))
             for stencil in self._stencils
@@ -147,7 +147,7 @@ class _Smoothing:
         )
 
     def step(self, n: Array, residual: list[Array], weights: list[Array], q: Array, damping: float) -> Array:
-        """Return the steps (T,) [rad] along the null directions `n` (T, 7) of one damped Gauss-Newton iteration."""
+        """Return the steps (T,) [rad] along the null directions `n` (T, J) of one damped Gauss-Newton iteration."""
         T = len(q)
         bands = np.zeros((3, T))  # lower form: bands[k, i] couples frames i and i + k
         gradient = np.zeros(T)
@@ -189,30 +189,30 @@ _PAST_LIMIT_RAD = 0.05  # allowed limit excess of grid postures: a path along a 
 
 
 def limit_excess(plant: ArmPlant, q: Array) -> Array:
-    """Return by how much (..., 7) [rad] each joint of `q` exceeds its limit; 0 within limits."""
+    """Return by how much (..., J) [rad] each joint of `q` exceeds its limit; 0 within limits."""
     return np.asarray(np.maximum(np.maximum(plant.lower - q, q - plant.upper), 0.0))
 
 
 def limit_margin(plant: ArmPlant, q: Array) -> Array:
-    """Return the distance to the nearer limit / half the joint's range (..., 7) of `q` (..., 7) [rad]: 0 at a limit."""
+    """Return the distance to the nearer limit / half the joint's range (..., J) of `q` (..., J) [rad]: 0 at a limit."""
     return np.asarray(np.minimum(q - plant.lower, plant.upper - q) / (0.5 * (plant.upper - plant.lower)))
 
 
 def speed_ratios(plant: ArmPlant, t_s: Array, q: Array) -> Array:
-    """Return joint speeds / limits (n - 1, 7) between consecutive rows of `q` (n, 7) [rad] at times `t_s` (n,) [s]."""
+    """Return joint speeds / limits (n - 1, J) between consecutive rows of `q` (n, J) [rad] at times `t_s` (n,) [s]."""
     return np.asarray(np.abs(np.diff(q, axis=0)) / np.diff(t_s)[:, None] / plant.velocity_limits)
 
 
 def within_limits(plant: ArmPlant, layers: list[Array], past_rad: float = 0.0) -> list[Array]:
-    """Return the postures (N_t, 7) [rad] of each layer that exceed limits by at most `past_rad`."""
-    rows = np.concatenate([np.zeros((0, 7)), *layers])
+    """Return the postures (N_t, J) [rad] of each layer that exceed limits by at most `past_rad`."""
+    rows = np.concatenate([np.zeros((0, len(plant.lower))), *layers])
     within = limit_excess(plant, rows).max(axis=-1, initial=0.0) <= past_rad
     bounds = pairwise(accumulate(map(len, layers), initial=0))
     return [layer[within[first:last]] for layer, (first, last) in zip(layers, bounds, strict=True)]
 
 
 def grid_postures(plant: ArmPlant, X_BG: Array, samples: int, rounds: int = 0) -> list[Array]:
-    """Return for each pose (T, 4, 4) the grid postures (N_t, 7) [rad] within limits plus _PAST_LIMIT_RAD."""
+    """Return for each pose (T, 4, 4) the grid postures (N_t, J) [rad] within limits plus _PAST_LIMIT_RAD."""
     return within_limits(plant, posture_solver(plant).all(X_BG, samples, rounds), _PAST_LIMIT_RAD)
 
 
@@ -233,18 +233,18 @@ def search_path(
     noise_rad: float = 0.0,
     allowed: Mapping[int, Callable[[Array], NDArray[np.bool_]]] | None = None,
 ) -> Array:
-    """Search the path (T, 7) [rad]: grid of the anchors, frames between, relaxation; NaN where there is no posture.
+    """Search the path (T, J) [rad]: grid of the anchors, frames between, relaxation; NaN where there is no posture.
 
     Args:
         t_s: (T,) times [s], increasing.
         X_BG: (T, 4, 4) poses of the TCP in the base [m].
-        q_start: (7,) posture [rad] to start near.
+        q_start: (J,) posture [rad] to start near.
         noise_rad: standard deviation of the joint angles due to the noise of the poses [rad]; excess of limits that it
             explains does not start a finer search.
-        allowed: for some frames, a function that returns which (N,) of postures (N, 7) may be used; the relaxation
+        allowed: for some frames, a function that returns which (N,) of postures (N, J) may be used; the relaxation
             does not move these frames.
     """
-    best = np.full((len(t_s), 7), np.nan)
+    best = np.full((len(t_s), len(q_start)), np.nan)
     least = (np.inf, np.inf)
     if len(t_s) == 0:
         return best
@@ -271,11 +271,25 @@ def search_path(
             least = worst
         if least[0] == 0.0 and least[1] <= 1.0:
             break
-    return best
+    return undo_turns(plant, best)[0]
+
+
+def undo_turns(plant: ArmPlant, q: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return a path (T, J) [rad] with joints turned by the full turn that brings them into their limits; which (J,)."""
+    q = q.copy()
+    rows = np.isfinite(q).all(axis=-1)
+    undone = np.zeros(q.shape[1], dtype=bool)
+    if rows.any():
+        least = limit_excess(plant, q[rows]).min(axis=0)
+        for turn in (2.0 * np.pi, -2.0 * np.pi):
+            turned = plant.chain.turns & (limit_excess(plant, q[rows] + turn).max(axis=0) < least)
+            q[:, turned] += turn
+            undone |= turned
+    return q, undone
 
 
 def is_sound(plant: ArmPlant, t_s: Array, q: Array, past_rad: float = 0.0) -> bool:
-    """Return whether a path (T, 7) [rad] is finite, exceeds limits by at most `past_rad` and keeps the speed limits."""
+    """Return whether a path (T, J) [rad] is finite, exceeds limits by at most `past_rad` and keeps the speed limits."""
     return bool(
         np.isfinite(q).all()
         and limit_excess(plant, q).max(initial=0.0) <= past_rad
@@ -284,7 +298,7 @@ def is_sound(plant: ArmPlant, t_s: Array, q: Array, past_rad: float = 0.0) -> bo
 
 
 def _between(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array, kept: NDArray[np.intp], noise_rad: float) -> Array:
-    """Fill in the path (T, 7), finite at the frames `kept`, with the branches nearest to the interpolated postures."""
+    """Fill in the path (T, J), finite at the frames `kept`, with the branches nearest to the interpolated postures."""
     within = np.clip(t_s, t_s[kept[0]], t_s[kept[-1]])
     guess = PchipInterpolator(t_s[kept], path[kept])(within) if len(kept) > 1 else np.tile(path[kept], (len(t_s), 1))
     solver = posture_solver(plant)
@@ -299,7 +313,7 @@ def _between(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array, kept: NDArra
 def find_cheapest_path(
     plant: ArmPlant, t_s: Array, layers: list[Array], q_start: Array, spacing: float, noise_rad: float = 0.0
 ) -> Array:
-    """Select one posture per layer (T, 7) [rad], of the path of least cost, by dynamic programming.
+    """Select one posture per layer (T, J) [rad], of the path of least cost, by dynamic programming.
 
     A step costs r^2 + 4 r^8, r being its greatest joint speed over the limit, and much more where it exceeds the limit
     by more than the spacing of the grid explains; the distance of the first posture from `q_start` decides between
@@ -307,12 +321,12 @@ def find_cheapest_path(
 
     Args:
         t_s: (T,) times of the layers [s], increasing.
-        layers: T arrays (N_t, 7) of postures [rad], some empty.
-        q_start: (7,) posture [rad] to start near.
+        layers: T arrays (N_t, J) of postures [rad], some empty.
+        q_start: (J,) posture [rad] to start near.
         spacing: distance of grid postures along the redundancy [rad].
         noise_rad: standard deviation of the noise in the joints [rad].
     """
-    path = np.full((len(t_s), 7), np.nan)
+    path = np.full((len(t_s), len(q_start)), np.nan)
     frames = [i for i, layer in enumerate(layers) if len(layer)]
     if not frames:
         return path

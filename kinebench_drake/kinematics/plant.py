@@ -19,11 +19,11 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.chain import LinkChain
 from kinebench_drake.models.arm import panda
 from kinebench_drake.models.obstacles import is_obstacle
-from kinebench_drake.models.robot import N_JOINTS, Robot
+from kinebench_drake.models.robot import Robot
 
 
 class ArmPlant:
-    """Seven-joint arm with its base link fixed at the origin of B.
+    """Arm of J = 5 to 7 joints with its base link fixed at the origin of B.
 
     It has one Drake context that every call overwrites: use one object per thread. The fingers are part of the plant,
     at the positions that `finger_width_m` sets.
@@ -52,29 +52,29 @@ class ArmPlant:
         except (RuntimeError, ValueError) as error:
             raise InputError(f"{self.robot.name}: Drake cannot load this robot ({cause(error)})") from None
         self.drake: Any = plant
-        """Finalized MultibodyPlant: for the Panda seven arm joints, then the fingers."""
+        """Finalized MultibodyPlant: for the Panda the arm joints, then the fingers."""
         self.diagram: Any = builder.Build()
         """Diagram of the plant and its scene graph."""
         joints = [plant.GetJointByName(name) for name in self.robot.joints]
         fingers = [plant.GetJointByName(name) for name in self.robot.finger_joints]
         self.arm = _index([joint.position_start() for joint in joints])
-        """Indices of the seven arm joints in the plant's positions; other joints may come before or between."""
+        """Indices of the arm joints in the plant's positions; other joints may come before or between."""
         self.arm_rates = _index([joint.velocity_start() for joint in joints])
-        """Indices of the seven arm joints in the plant's velocities."""
+        """Indices of the arm joints in the plant's velocities."""
         self._fingers = np.array([joint.position_start() for joint in fingers], dtype=np.intp)
         self._opening = np.array([[j.position_lower_limit(), j.position_upper_limit()] for j in fingers]).reshape(-1, 2)
         limits = self.robot.limits
         self.lower = limits.lower
         self.upper = limits.upper
-        """(7,) lower and upper joint limits [rad]."""
+        """(J,) lower and upper joint limits [rad]."""
         self.velocity_limits = limits.velocity
-        """(7,) joint speed limits at any position [rad/s]; `limits.speeds` are those at one position."""
+        """(J,) joint speed limits at any position [rad/s]; `limits.speeds` are those at one position."""
         self.acceleration_limits = limits.acceleration
-        """(7,) joint acceleration limits [rad/s^2]; None if not stated."""
+        """(J,) joint acceleration limits [rad/s^2]; None if not stated."""
         self.jerk_limits = limits.jerk
-        """(7,) joint jerk limits [rad/s^3]; None if not stated."""
+        """(J,) joint jerk limits [rad/s^3]; None if not stated."""
         self.effort_limits = limits.torque
-        """(7,) joint torque limits [N m]."""
+        """(J,) joint torque limits [N m]."""
         self.finger_width_m = finger_width_m
         """Default gap between the finger pads [m]."""
         low = plant.GetPositionLowerLimits()
@@ -103,18 +103,18 @@ class ArmPlant:
 
     @property
     def rate_limits(self) -> tuple[Array, Array | None, Array | None]:
-        """Limits (7,) of speed [rad/s], acceleration [rad/s^2] and jerk [rad/s^3]; None if not stated."""
+        """Limits (J,) of speed [rad/s], acceleration [rad/s^2] and jerk [rad/s^3]; None if not stated."""
         return self.velocity_limits, self.acceleration_limits, self.jerk_limits
 
     def set_posture(self, q: ArrayLike, finger_width_m: float | None = None) -> None:
-        """Set the context to posture `q` (7,) [rad] and finger gap `finger_width_m` [m].
+        """Set the context to posture `q` (J,) [rad] and finger gap `finger_width_m` [m].
 
         Raises:
-            UsageError: `q` is not (7,).
+            UsageError: `q` is not (J,).
         """
         q = np.asarray(q, dtype=np.float64)
-        if q.shape != (N_JOINTS,):
-            raise UsageError(f"q has shape {q.shape}, expected the 7 arm joints in radians")
+        if q.shape != self.lower.shape:
+            raise UsageError(f"q has shape {q.shape}, expected the {len(self.lower)} arm joints in radians")
         self._positions[:] = self._default
         self._positions[self.arm] = q
         if finger_width_m is not None:
@@ -122,17 +122,17 @@ class ArmPlant:
         self.drake.SetPositions(self.context, self._positions)
 
     def positions(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Array:
-        """Return the positions (N, n) of all joints of the plant at postures `q` (N, 7) [rad], in Drake's order.
+        """Return the positions (N, n) of all joints of the plant at postures `q` (N, J) [rad], in Drake's order.
 
         Fingers: gap `finger_width_m` (N,) [m], clipped to their limits; the default gap where None or NaN. Other joints
         are at 0, or at their limit nearest to 0.
 
         Raises:
-            UsageError: `q` is not (N, 7).
+            UsageError: `q` is not (N, J).
         """
         q = np.asarray(q, dtype=np.float64)
-        if q.ndim != 2 or q.shape[1] != N_JOINTS:
-            raise UsageError(f"q has shape {q.shape}, expected (N, {N_JOINTS}) arm joints in radians")
+        if q.ndim != 2 or q.shape[1] != len(self.lower):
+            raise UsageError(f"q has shape {q.shape}, expected (N, {len(self.lower)}) arm joints in radians")
         positions = np.tile(self._default, (len(q), 1))
         positions[:, self.arm] = q
         if finger_width_m is not None:
@@ -142,21 +142,21 @@ class ArmPlant:
         return positions
 
     def forward(self, q: ArrayLike) -> Array:
-        """Return the pose X_BG (4, 4) of the TCP in the base [m] at joint angles `q` (7,) [rad]."""
+        """Return the pose X_BG (4, 4) of the TCP in the base [m] at joint angles `q` (J,) [rad]."""
         self.set_posture(q)
         return np.asarray(self.tcp_frame.CalcPoseInWorld(self.context).GetAsMatrix4())
 
     def forward_path(self, q: Iterable[ArrayLike]) -> Array:
-        """Return `forward` (N, 4, 4) [m] of postures `q` (N, 7) [rad]."""
+        """Return `forward` (N, 4, 4) [m] of postures `q` (N, J) [rad]."""
         return np.reshape([self.forward(row) for row in q], (-1, 4, 4))
 
     def link_poses(self, q: ArrayLike) -> dict[str, Array]:
-        """Return the poses (4, 4) in B [m] of `robot.links`, by name, at joint angles `q` (7,) [rad]."""
+        """Return the poses (4, 4) in B [m] of `robot.links`, by name, at joint angles `q` (J,) [rad]."""
         self.set_posture(q)
         return {name: np.asarray(f.CalcPoseInWorld(self.context).GetAsMatrix4()) for name, f in self._links.items()}
 
     def jacobian(self, q: ArrayLike) -> Array:
-        """Return the geometric Jacobian (6, 7) of the TCP in B at `q` (7,) [rad]: `V_BG = J @ qdot`.
+        """Return the geometric Jacobian (6, J) of the TCP in B at `q` (J,) [rad]: `V_BG = J @ qdot`.
 
         Rows 0-2 are the angular velocity [rad/s], rows 3-5 the velocity of the TCP's origin [m/s], both expressed in
         B (Drake's order of a spatial velocity).
@@ -172,9 +172,9 @@ class ArmPlant:
         return X_BG, np.asarray(J[:, self.arm_rates])
 
     def torque(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """Return the joint torques (7,) [N m] of a motion with the robot's payload, by Drake's inverse dynamics.
+        """Return the joint torques (J,) [N m] of a motion with the robot's payload, by Drake's inverse dynamics.
 
-        tau = M(q) a + C(q, v) v - tau_g(q), without friction: `q` (7,) [rad], `v` [rad/s], `a` [rad/s^2], fingers at
+        tau = M(q) a + C(q, v) v - tau_g(q), without friction: `q` (J,) [rad], `v` [rad/s], `a` [rad/s^2], fingers at
         rest.
         """
         self.set_posture(q)
@@ -184,12 +184,12 @@ class ArmPlant:
         return np.asarray((inverse - self.drake.CalcGravityGeneralizedForces(self.context))[self.arm_rates])
 
     def mass_matrix(self, q: ArrayLike) -> Array:
-        """Return the mass matrix (7, 7) [kg m^2] of the arm at `q` (7,) [rad], fingers fixed."""
+        """Return the mass matrix (J, J) [kg m^2] of the arm at `q` (J,) [rad], fingers fixed."""
         self.set_posture(q)
         return np.asarray(self.drake.CalcMassMatrix(self.context)[self.arm_rates][:, self.arm_rates])
 
     def query(self, q: ArrayLike, finger_width_m: float | None = None) -> Any:
-        """Return Drake's QueryObject of the geometry at `q` (7,) [rad], excluded pairs of links left out."""
+        """Return Drake's QueryObject of the geometry at `q` (J,) [rad], excluded pairs of links left out."""
         self.set_posture(q, finger_width_m)
         return self.drake.get_geometry_query_input_port().Eval(self.context)
 
@@ -208,7 +208,7 @@ class ArmPlant:
             manager.Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(ids)))
 
     def _contacts(self, q: Array) -> frozenset[frozenset[str]]:
-        """Return the pairs of links in contact at `q` (7,) [rad], Drake's own exclusions and obstacles left out."""
+        """Return the pairs of links in contact at `q` (J,) [rad], Drake's own exclusions and obstacles left out."""
         context = self.drake.GetMyMutableContextFromRoot(self.diagram.CreateDefaultContext())
         self.drake.SetPositions(context, self.positions(q[None])[0])
         query = self.drake.get_geometry_query_input_port().Eval(context)

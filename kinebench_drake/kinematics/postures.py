@@ -11,10 +11,11 @@ from typing_extensions import override
 
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.kinematics.analytic import N_BRANCHES, analytic_ik, branch_of, flange_pose, reach_window
-from kinebench_drake.kinematics.newton import REACHED_M, solve_newton
+from kinebench_drake.kinematics.newton import solve_newton_rows
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.robot import N_JOINTS
 
-_STARTS = 24  # starts of the numeric search
+_STARTS = 64  # starts of the numeric search for the first pose of a track
 FAR_RAD = 0.15
 """Distance of the ends of an interval of the grid above which it is halved [rad]."""
 DUPLICATE_RAD = 0.05
@@ -25,26 +26,26 @@ class PostureSolver(Protocol):
     """Solver for the postures of an arm that reach given poses."""
 
     def all(self, X_BG: Array, samples: int, rounds: int = 0) -> list[Array]:
-        """Return for each pose (T, 4, 4) postures (N_t, 7) [rad] on a grid of the redundancy, joint limits ignored.
+        """Return for each pose (T, 4, 4) postures (N_t, J) [rad] on a grid of the redundancy, joint limits ignored.
 
         Intervals of the grid are halved up to `rounds` times where their ends are far apart, as near singularities.
         """
 
     def around(self, X_BG: Array, q: Array, offsets: Array) -> list[Array]:
-        """Return for each pose the postures (N_t, 7) [rad] of all branches near guesses `q` (T, 7), limits ignored."""
+        """Return for each pose the postures (N_t, J) [rad] of all branches near guesses `q` (T, J), limits ignored."""
 
     def along_branch(self, X_BG: Array, q_start: Array) -> list[Array]:
-        """Return for each pose postures (N_t, 7) [rad] of the branch of `q_start` (7,).
+        """Return for each pose postures (N_t, J) [rad] of the branch of `q_start` (J,).
 
         The postures are on a coarse grid of the redundancy about that of `q_start`, NaN where there is none; no rows
         where branches are unknown.
         """
 
     def direction(self, X_BG: Array, q: Array) -> Array:
-        """Return unit vectors (T, 7) of the null motion of postures `q` (T, 7); 0 where unknown."""
+        """Return unit vectors (T, J) of the null motion of postures `q` (T, J); 0 where unknown."""
 
     def nearest(self, X_BG: Array, q: Array) -> Array:
-        """Return postures (T, 7) [rad] that reach poses (T, 4, 4) near guesses `q` (T, 7); NaN where there is none."""
+        """Return postures (T, J) [rad] that reach poses (T, 4, 4) near guesses `q` (T, J); NaN where there is none."""
 
     def out_of_reach_m(self, X_BG: Array) -> Array:
         """Return the distance (T,) [m] by which poses (T, 4, 4) are provably out of reach; 0 if not proven."""
@@ -53,10 +54,11 @@ class PostureSolver(Protocol):
 @lru_cache(maxsize=4)
 def posture_solver(plant: ArmPlant) -> PostureSolver:
     """Return the closed-form solver if the arm equals the Panda up to its tool (numerically), else Newton's."""
-    q = np.random.default_rng(0).uniform(plant.lower, plant.upper, size=(8, 7))
-    X_FG = invert(flange_pose(q)) @ plant.forward_path(q)
-    if np.abs(X_FG - X_FG[0]).max() < 1e-9:
-        return ClosedFormSolver(X_FG[0])
+    if len(plant.lower) == N_JOINTS:
+        q = np.random.default_rng(0).uniform(plant.lower, plant.upper, size=(8, N_JOINTS))
+        X_FG = invert(flange_pose(q)) @ plant.forward_path(q)
+        if np.abs(X_FG - X_FG[0]).max() < 1e-9:
+            return ClosedFormSolver(X_FG[0])
     return NumericSolver(plant)
 
 
@@ -134,26 +136,36 @@ class ClosedFormSolver(PostureSolver):
 
 
 class NumericSolver(PostureSolver):
-    """Solver for any seven-joint arm: Newton steps within limits from many starts."""
+    """Solver for any arm: Newton steps from many starts, and from the postures of the pose before."""
 
     def __init__(self, plant: ArmPlant) -> None:
         self._plant = plant
         self._starts = spread_postures(plant, _STARTS)
+        self._middle = 0.5 * (plant.lower + plant.upper)
 
     @override
     def all(self, X_BG: Array, samples: int, rounds: int = 0) -> list[Array]:
-        # the starts, and the postures of the pose before
         layers: list[Array] = []
-        before = np.zeros((0, 7))
+        before = self._starts[:0]
+        is_redundant = before.shape[1] > 6  # its postures may be moved into the limits
         for X in X_BG:
+            fresh = self._starts[: max(8, samples // 4) if layers else _STARTS]
+            starts = np.vstack([before, fresh])
+            q = solve_newton_rows(self._plant, np.broadcast_to(X, (len(starts), 4, 4)), starts, bounded=is_redundant)
+            q[len(before) :] = self._wrapped(q[len(before) :])
             postures: list[Array] = []
-            for start in (*before, *self._starts[: max(4, min(samples // 4, _STARTS))]):
-                q, error = solve_newton(self._plant, X, start, iterations=25)
-                if error <= REACHED_M and all(np.abs(q - other).max() > DUPLICATE_RAD for other in postures):
-                    postures.append(q)
-            before = np.reshape(postures, (-1, 7))
-            layers.append(before)
+            for row in _listed(q):
+                if all(np.abs(row - other).max() > DUPLICATE_RAD for other in postures):
+                    postures.append(row)
+            layers.append(np.reshape(postures, (-1, before.shape[1])))
+            past = np.maximum(self._plant.lower - layers[-1], layers[-1] - self._plant.upper).max(axis=-1, initial=0.0)
+            before = layers[-1][past <= DUPLICATE_RAD]
         return layers
+
+    def _wrapped(self, q: Array) -> Array:
+        """Return postures (N, J) with each angle within half a turn of the middle of its limits."""
+        turned = self._middle + (q - self._middle + np.pi) % (2.0 * np.pi) - np.pi
+        return np.where(self._plant.chain.turns, turned, q)
 
     @override
     def around(self, X_BG: Array, q: Array, offsets: Array) -> list[Array]:
@@ -161,21 +173,16 @@ class NumericSolver(PostureSolver):
 
     @override
     def along_branch(self, X_BG: Array, q_start: Array) -> list[Array]:
-        return [np.zeros((0, 7))] * len(X_BG)
+        return [self._starts[:0]] * len(X_BG)
 
     @override
     def direction(self, X_BG: Array, q: Array) -> Array:
         # the last right singular vector of the Jacobian
-        return np.array([np.linalg.svd(self._plant.jacobian(row))[2][-1] for row in q]).reshape(-1, 7)
+        return np.asarray(np.linalg.svd(self._plant.chain.jacobians(q))[2][:, -1])
 
     @override
     def nearest(self, X_BG: Array, q: Array) -> Array:
-        nearest_q = np.full_like(q, np.nan)
-        for i, (X, guess) in enumerate(zip(X_BG, q, strict=True)):
-            if np.isfinite(guess).all():
-                row, error = solve_newton(self._plant, X, guess, iterations=15)
-                nearest_q[i] = row if error <= REACHED_M else np.nan
-        return nearest_q
+        return solve_newton_rows(self._plant, X_BG, q)
 
     @override
     def out_of_reach_m(self, X_BG: Array) -> Array:
@@ -183,12 +190,17 @@ class NumericSolver(PostureSolver):
 
 
 def spread_postures(plant: ArmPlant, count: int) -> Array:
-    """Return a fixed random sample (count, 7) [rad] of postures within limits, the rest posture first."""
-    spread = np.random.default_rng(0).uniform(plant.lower, plant.upper, size=(count - 1, 7))
+    """Return a fixed random sample (count, J) [rad] of postures within limits, the rest posture first.
+
+    Angles are within half a turn of the middle of their limits.
+    """
+    middle = 0.5 * (plant.lower + plant.upper)
+    low, high = np.maximum(plant.lower, middle - np.pi), np.minimum(plant.upper, middle + np.pi)
+    spread = np.random.default_rng(0).uniform(low, high, size=(count - 1, len(low)))
     return np.vstack([plant.robot.rest_q, spread])
 
 
 def _listed(q: Array) -> Array:
-    """Return the finite rows (N, 7) of postures (..., 7)."""
+    """Return the finite rows (N, J) of postures (..., J)."""
     q = q.reshape(-1, q.shape[-1])
     return q[np.isfinite(q[:, 0])]

@@ -38,7 +38,7 @@ class RobotCommands:
     """Commands of a motion from rest to rest."""
 
     q: Array
-    """(N, 7) joint angles at times k / rate [rad]."""
+    """(N, J) joint angles at times k / rate [rad]."""
     finger_width_m: Array
     """(N,) gap between the finger pads [m]; NaN where unknown."""
     frame_t_s: Array
@@ -52,7 +52,7 @@ class RobotCommands:
 def plan_commands(
     plant: ArmPlant, collision: CollisionModel, track: GripperTrack, q: Array, *, rate_hz: float, tube_limit_m: float
 ) -> RobotCommands:
-    """Plan commands in the tube about a track, from its joint path `q` (T, 7) [rad].
+    """Plan commands in the tube about a track, from its joint path `q` (T, J) [rad].
 
     Raises:
         InputError: there are no such commands, with the reason.
@@ -112,7 +112,7 @@ def _risen(t: Array, ramp: float) -> Array:
 
 
 def limit_ratios(plant: ArmPlant, q: Array, rate_hz: float) -> Iterator[tuple[str, Array]]:
-    """Yield what each limit of the robot is used by commands (N, 7) [rad], by finite differences: (7,) value / limit.
+    """Yield what each limit of the robot is used by commands (N, J) [rad], by finite differences: (J,) value / limit.
 
     The robot rests before and after. Torques are those of inverse dynamics at central differences. Position: the
     distance from the middle of the range over half of it. Limits that the robot does not state are left out.

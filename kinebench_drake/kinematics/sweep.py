@@ -36,7 +36,7 @@ def sweep(plant: ArmPlant, model: CollisionModel, q: Array, finger_width_m: Arra
     """Find the contacts with obstacles that are deeper than `tolerance_m` [m].
 
     Args:
-        q: (T, 7) joint angles [rad]; NaN where unknown: the ways from and to there are left out.
+        q: (T, J) joint angles [rad]; NaN where unknown: the ways from and to there are left out.
         finger_width_m: (T,) gap between the finger pads [m]; NaN for the plant's default.
         tolerance_m: depth up to which a contact is none [m].
     """
@@ -89,7 +89,7 @@ def sweep(plant: ArmPlant, model: CollisionModel, q: Array, finger_width_m: Arra
 def _ways(plant: ArmPlant, model: CollisionModel, M: Array, turn: Array, slide: Array) -> tuple[Array, Array]:
     """Return centres (N, S, 3) of the balls around the moving solids and the greatest way (N, S) of their points [m].
 
-    Joints are turned by `turn` (N, 7) [rad] one after the other, the last first: each moves a point by its distance
+    Joints are turned by `turn` (N, J) [rad] one after the other, the last first: each moves a point by its distance
     from the axis, plus the way it has gone already, times the turn. Fingers slide by `slide` (N,) [m].
     """
     stages = [solid.stage for solid in model.movable]
@@ -99,5 +99,5 @@ def _ways(plant: ArmPlant, model: CollisionModel, M: Array, turn: Array, slide: 
     carries = np.array([plant.chain.carries(solid.link) for solid in model.movable])
     way = np.repeat(slide[:, None], len(stages), axis=1)
     for j in reversed(range(turn.shape[1])):
-        way = way + carries[:, j] * turn[:, j, None] * (arm[..., j] + way)
+        way = way + carries[:, j] * turn[:, j, None] * (arm[..., j] + way if plant.chain.turns[j] else 1.0)
     return center, way

@@ -15,7 +15,6 @@ from scipy.interpolate import CubicSpline
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.violation import ViolationKind
 
 STILL_RAD = 1e-4
@@ -76,7 +75,7 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
     Args:
         plant: the robot; accelerations are unlimited where it states no limits.
         t_s: (T,) times [s], increasing, of any spacing.
-        q: (T, 7) joint angles [rad], denoised; rows with NaN are left out.
+        q: (T, J) joint angles [rad], denoised; rows with NaN are left out.
     """
     frames = np.flatnonzero(np.isfinite(q).all(axis=-1) & np.isfinite(t_s))
     t = t_s[frames]
@@ -117,7 +116,7 @@ class _PathMotion:
         torque = plant.chain.torques(q, np.stack([still, still, v]), np.stack([still, v, a])) / plant.effort_limits
         bounds = np.inf if plant.acceleration_limits is None else plant.acceleration_limits
         self.speed = v / plant.robot.limits.speeds(q, v)
-        """(G, 7) speeds in own time over their limits."""
+        """(G, J) speeds in own time over their limits."""
         self.limits = PathLimits(
             s=self.grid,
             fastest=1.0 / np.maximum(np.abs(self.speed).max(axis=-1), 1.0 / FASTEST_REST),
@@ -127,7 +126,7 @@ class _PathMotion:
         )
 
     def ratios(self, points: int | slice | NDArray[np.intp], rate: Array, change: Array) -> Array:
-        """Return speed, acceleration and torque over their limits (..., 3, 7) at grid `points` (...).
+        """Return speed, acceleration and torque over their limits (..., 3, J) at grid `points` (...).
 
         `rate` (...) is ds/dt there, `change` (...) d2s/dt2.
         """
@@ -135,7 +134,9 @@ class _PathMotion:
         change = np.asarray(change)[..., None]
         limits = self.limits
         both = limits.slope[points] * change + limits.bend[points] * rate**2 + limits.rest[points]
-        return np.concatenate([self.speed[points] * rate, both], axis=-1).reshape(*both.shape[:-1], 3, N_JOINTS)
+        return np.concatenate([self.speed[points] * rate, both], axis=-1).reshape(
+            *both.shape[:-1], 3, both.shape[-1] // 2
+        )
 
     def frame(self, index: int) -> int:
         """Return the frame nearest to a grid point."""
@@ -188,7 +189,7 @@ def _describe(motion: _PathMotion, rate: Array) -> TimeScale:
 
 
 def _usage(motion: _PathMotion, rate: Array, change: Array, spent: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the share of time (3, 7) in which each limit is active, and whether it is in each cell (G - 1, 3, 7)."""
+    """Return the share of time (3, J) in which each limit is active, and whether it is in each cell (G - 1, 3, J)."""
     near = motion.ratios(slice(None, -1), rate[:-1], change)
     active = np.abs([near, motion.ratios(slice(1, None), rate[1:], change)]) >= ACTIVE_SHARE
     return np.einsum("k,ikcj->cj", 0.5 * spent / spent.sum(), active), np.asarray(active.any(axis=0))
@@ -237,7 +238,7 @@ def _broken_end(motion: _PathMotion) -> TimeScale | None:
 
 
 def _least_ratios(motion: _PathMotion, index: int) -> Array:
-    """Return |ratios| (3, 7) at a grid point at the own speed, for the d2s/dt2 that minimises their maximum."""
+    """Return |ratios| (3, J) at a grid point at the own speed, for the d2s/dt2 that minimises their maximum."""
     fixed, moved = motion.ratios(index, np.ones(2), np.array([0.0, 1.0]))
     slope = moved - fixed
     # The maximum of |fixed + slope x| is convex and piecewise linear in x: its minimum is where two lines cross.

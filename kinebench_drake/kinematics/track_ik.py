@@ -77,7 +77,7 @@ def solve_track(
 
 
 def branch_jumps(plant: ArmPlant, X_BG: Array, q: Array) -> NDArray[np.intp]:
-    """Return indices (N,) of postures in `q` (n, 7) [rad] whose step from the previous one is a jump between branches.
+    """Return indices (N,) of postures in `q` (n, J) [rad] whose step from the previous one is a jump between branches.
 
     The explained step is the least joint motion J^+ V between the poses (n, 4, 4), averaged over both ends (trapezoid
     rule); the rest is a jump if it exceeds JUMP_RAD.
@@ -90,7 +90,7 @@ def branch_jumps(plant: ArmPlant, X_BG: Array, q: Array) -> NDArray[np.intp]:
 
 
 def verify_path(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array) -> JointTrack:
-    """Return the path (n, 7) where Drake confirms it; other frames are solved again from the previous frame."""
+    """Return the path (n, J) where Drake confirms it; other frames are solved again from the previous frame."""
     finite = np.asarray(np.isfinite(path).all(axis=-1))
     q = np.where(finite[:, None], path, plant.robot.rest_q)
     position, rotation = pose_difference(plant.forward_path(q), X_BG)
@@ -167,7 +167,7 @@ def _find_contacts(
 
 
 def _free(collision: CollisionModel, q: Array, finger_width_m: float, tolerance_m: float) -> NDArray[np.bool_]:
-    """Return which postures (N,) of `q` (N, 7) [rad] are free of collisions."""
+    """Return which postures (N,) of `q` (N, J) [rad] are free of collisions."""
     free = np.ones(len(q), dtype=bool)
     for measure in (collision.table_distance, collision.self_distance, collision.obstacle_distance):  # cheap ones first
         free[free] = ~(measure(q[free], np.full(int(free.sum()), finger_width_m)).distance_m < -tolerance_m)

@@ -99,7 +99,7 @@ def optimize_in_tube(
         collision: collision model; None ignores collisions.
         t_s: (T,) times [s], increasing; they may have gaps.
         X_BG: (T, 4, 4) poses of the TCP in the base [m].
-        q: (T, 7) initial joint path [rad], such as that of inverse kinematics.
+        q: (T, J) initial joint path [rad], such as that of inverse kinematics.
         tube_limit_m: greatest radius that counts as feasible [m].
         table_tolerance_m: allowed penetration of the table [m].
         finger_width_m: (T,) gap between the finger pads [m]; None for the plant's default.
@@ -190,7 +190,7 @@ class _TubeSearch:
 
     @cached_property
     def _start(self) -> Array:
-        """Joint path (T, 7) [rad]; from the first frame past a limit on, poses are solved again within limits."""
+        """Joint path (T, J) [rad]; from the first frame past a limit on, poses are solved again within limits."""
         q = self.problem.q
         limits = self.limits
         outside = np.flatnonzero(((q < limits.lower) | (q > limits.upper)).any(axis=-1))
@@ -204,7 +204,7 @@ class _TubeSearch:
     def _shrink(
         self, basis: SplineBasis, q: Array, obstacles: tuple[DistanceBound, ...], effort: tuple[int, int]
     ) -> JointTrajectory | None:
-        """Find the smallest tube near the joint path `q` (T, 7): programs with free radius, then bisection."""
+        """Find the smallest tube near the joint path `q` (T, J): programs with free radius, then bisection."""
         best: JointTrajectory | None = None
         proximity = PROXIMITY
         looser = _LOOSER
@@ -356,7 +356,7 @@ def find_rate_violation(
 ) -> Violation | None:
     """Find the rate that exceeds its limit most, relative to it; None if none does.
 
-    `ratios` are the control points (n - k, 7) of the k-th derivative of the spline / limit, less `offset`, for k =
+    `ratios` are the control points (n - k, J) of the k-th derivative of the spline / limit, less `offset`, for k =
     1..3; None without a limit. `offset` is 1 if they are excesses over the limit.
     """
     # of a limit, above which it counts as broken

@@ -19,7 +19,6 @@ from scipy.sparse import coo_matrix, diags, hstack, identity, kron, vstack
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import silent_drake
 from kinebench_drake.kinematics.spline import ORDER, SplineBasis
-from kinebench_drake.models.robot import N_JOINTS
 
 INSIDE = 1.0 - 1e-6
 """Share of each limit that the program may use; the rest covers the tolerance of the solver."""
@@ -37,7 +36,7 @@ _STEP_RAD = 0.1  # change of all joints that costs as much as `proximity` millim
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitSet:
-    """Limits of the arm, (7,) each."""
+    """Limits of the arm, (J,) each."""
 
     lower: Array
     """Lower joint limits [rad]."""
@@ -54,9 +53,9 @@ class PoseLinearisation:
     t_s: Array
     """(T,) times of the frames on the clock of the spline [s]."""
     q: Array
-    """(T, 7) joint path [rad]."""
+    """(T, J) joint path [rad]."""
     J: Array
-    """(T, 6, 7) Jacobians, the rows of rotation multiplied by their arm [m/rad]."""
+    """(T, 6, J) Jacobians, the rows of rotation multiplied by their arm [m/rad]."""
     e: Array
     """(T, 6) errors of the poses, rotation (by its arm) and position [m]."""
 
@@ -70,7 +69,7 @@ class DistanceBound:
     offset_m: float
     """Distance of the linearisation at zero joint angles [m]."""
     gradient: Array
-    """(7,) gradient of the distance [m/rad]."""
+    """(J,) gradient of the distance [m/rad]."""
     least_m: float
     """Lower bound [m]."""
 
@@ -80,11 +79,11 @@ class TubeSolution:
     """Solution of the program."""
 
     control: Array
-    """(n, 7) control points [rad]."""
+    """(n, J) control points [rad]."""
     radius_m: float
     """Radius of the linearised tube [m]."""
     excess: tuple[Array, ...]
-    """Excess (n - k, 7) / limit of the control points of the k-th derivative, k = 1..3."""
+    """Excess (n - k, J) / limit of the control points of the k-th derivative, k = 1..3."""
 
 
 def solve_tube(
@@ -109,14 +108,15 @@ def solve_tube(
             widened too, but only where no excess helps).
     """
     n = basis.size
+    joints = len(limits.lower)
     frames = len(poses.t_s)
-    still: Any = np.zeros((N_JOINTS, n))
+    still: Any = np.zeros((joints, n))
     spline: Any = BsplineTrajectory(BsplineBasis(ORDER, basis.knots.tolist()), still)
     kto: Any = KinematicTrajectoryOptimization(spline)
     prog = kto.get_mutable_prog()
     duration = float(basis.breaks_s[-1] - basis.breaks_s[0])
     prog.AddBoundingBoxConstraint(duration, duration, kto.duration())
-    x = kto.control_points().T.ravel()  # of (n, 7)
+    x = kto.control_points().T.ravel()  # of (n, J)
     r = prog.NewContinuousVariables(1, "r")
     lower, upper = (np.tile(bound, n) for bound in (limits.lower, limits.upper))
     prog.AddBoundingBoxConstraint(lower, upper, x)
@@ -133,7 +133,7 @@ def solve_tube(
     for D, limit in zip(basis.derivatives[1:], limits.rates, strict=True):
         sizes.append(D.shape[0] if limit is not None else 0)
         if limit is not None:
-            rows.append(diags(np.tile(1.0 / limit, D.shape[0])) @ kron(D, identity(N_JOINTS)))
+            rows.append(diags(np.tile(1.0 / limit, D.shape[0])) @ kron(D, identity(joints)))
     A = vstack(rows).tocsc()
     one = np.ones(A.shape[0])
     slack = None
@@ -150,7 +150,7 @@ def solve_tube(
 
     B = basis.values(poses.t_s)
     for i in range(frames):
-        near, values = _row(B, i, x)
+        near, values = _row(B, i, x.reshape(n, joints))
         variables = np.concatenate([r, near])
         target = _MM * (poses.J[i] @ poses.q[i] + poses.e[i])
         for part in (slice(0, 3), slice(3, 6)):
@@ -160,13 +160,13 @@ def solve_tube(
             prog.AddLorentzConeConstraint(M, np.concatenate([[0.0], -target[part]]), variables)
         # proximity |B C - q|^2
         weight = 2.0 * proximity / (_STEP_RAD**2 * _FRAMES)
-        Q = weight * np.kron(np.outer(values, values), np.eye(N_JOINTS))
+        Q = weight * np.kron(np.outer(values, values), np.eye(joints))
         prog.AddQuadraticCost(Q, -weight * np.kron(values, poses.q[i]), near, is_convex=True)
     scale = ASSUMED_ACCELERATION if limits.rates[1] is None else limits.rates[1]
     D = basis.derivatives[2]
     for k in range(D.shape[0]):
-        near, values = _row(D, k, x)
-        Q = 2.0 * ACCELERATION_COST / _FRAMES * np.kron(np.outer(values, values), np.diag(np.ones(N_JOINTS) / scale**2))
+        near, values = _row(D, k, x.reshape(n, joints))
+        Q = 2.0 * ACCELERATION_COST / _FRAMES * np.kron(np.outer(values, values), np.diag(np.ones(joints) / scale**2))
         prog.AddQuadraticCost(Q, np.zeros(len(near)), near, is_convex=True)
     if obstacles:
         _add_obstacles(prog, basis, x, obstacles)
@@ -176,24 +176,24 @@ def solve_tube(
     if not result.is_success():
         return None
     excess = np.maximum(result.GetSolution(slack), 0.0) if slack is not None else np.zeros(A.shape[0])
-    parts = np.split(excess.reshape(-1, N_JOINTS), np.cumsum(sizes)[:-1])
-    control = np.clip(result.GetSolution(x), lower, upper).reshape(n, N_JOINTS)
+    parts = np.split(excess.reshape(-1, joints), np.cumsum(sizes)[:-1])
+    control = np.clip(result.GetSolution(x), lower, upper).reshape(n, joints)
     return TubeSolution(control=control, radius_m=float(result.GetSolution(r)[0]) / _MM, excess=tuple(parts))
 
 
 def proximity_cost_m(q: Array, q_near: Array, proximity: float) -> float:
-    """Return the proximity cost [m of radius] of a joint path `q` (T, 7) [rad] about `q_near` (T, 7)."""
+    """Return the proximity cost [m of radius] of a joint path `q` (T, J) [rad] about `q_near` (T, J)."""
     return proximity / _MM * float(np.sum((q - q_near) ** 2)) / (_STEP_RAD**2 * _FRAMES)
 
 
 def _row(matrix: Any, i: int, x: Any) -> tuple[Any, Array]:
-    """Return the control points of `x` within the band of row i of a sparse matrix, and the row's values there."""
+    """Return the control points of `x` (n, J) within the band of row i of a sparse matrix, and its values there."""
     span = slice(matrix.indptr[i], matrix.indptr[i + 1])
     columns = matrix.indices[span]
     first = int(columns.min())
     values = np.zeros(int(columns.max()) - first + 1)
     values[columns - first] = matrix.data[span]
-    return x[N_JOINTS * first : N_JOINTS * (first + len(values))], values
+    return x[first : first + len(values)].ravel(), values
 
 
 def _add_obstacles(prog: Any, basis: SplineBasis, x: Any, obstacles: Sequence[DistanceBound]) -> None:
@@ -201,9 +201,9 @@ def _add_obstacles(prog: Any, basis: SplineBasis, x: Any, obstacles: Sequence[Di
     count = len(obstacles)
     B = basis.values(np.array([o.t_s for o in obstacles])).tocoo()
     gradients = np.array([o.gradient for o in obstacles])
-    joint = np.arange(N_JOINTS)
-    rows = np.repeat(B.row, N_JOINTS)
-    columns = (N_JOINTS * B.col[:, None] + joint).ravel()
+    joints = gradients.shape[1]
+    rows = np.repeat(B.row, joints)
+    columns = (joints * B.col[:, None] + np.arange(joints)).ravel()
     A = coo_matrix(((B.data[:, None] * gradients[B.row]).ravel() * _MM, (rows, columns)), shape=(count, len(x)))
     slack = prog.NewContinuousVariables(count, "penetration")
     prog.AddBoundingBoxConstraint(0.0, np.inf, slack)

@@ -158,7 +158,7 @@ def _speed_limits(plant: ArmPlant, q: Array, sigma: Array, velocity: Derivative,
         return np.broadcast_to(limits.velocity, q.shape)
     frames = np.flatnonzero(finite_rows(velocity.value))
     near = z * np.nan_to_num(np.broadcast_to(sigma, q.shape)[frames])
-    towards = np.ones((len(frames), 7))
+    towards = np.ones((len(frames), q.shape[1]))
     up, down = (limits.speeds(q[frames] - sign * near, sign * towards) for sign in (1.0, -1.0))
     size = min(velocity.window, len(frames))
     first = np.clip(np.arange(len(frames)) - size // 2, 0, len(frames) - size)

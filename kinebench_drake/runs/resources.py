@@ -138,7 +138,7 @@ class Resources:
         from kinebench_drake.kinematics.continuation import solve_stepwise
 
         tracked = track.tracked & np.isfinite(track.X_BG).all(axis=(1, 2))
-        q = np.full((len(track.t_s), 7), np.nan)
+        q = np.full((len(track.t_s), len(self.plant.lower)), np.nan)
         q[tracked], failure = solve_stepwise(self.plant, track.X_BG[tracked], self.plant.robot.rest_q)
         if failure is not None:
             return self.judge(track, table_height_m).joints
@@ -166,20 +166,15 @@ class Resources:
         """
         if trajectory.q is None:
             return trajectory
-        from kinebench_drake.kinematics.path import limit_excess
+        from kinebench_drake.kinematics.path import undo_turns
 
-        q = trajectory.q.copy()
-        warnings = list(trajectory.warnings)
-        least = limit_excess(self.plant, q[trajectory.tracked]).min(axis=0)
-        for turn in (2.0 * np.pi, -2.0 * np.pi):
-            turned = limit_excess(self.plant, q[trajectory.tracked] + turn).max(axis=0) < least
-            q[:, turned] += turn
-            warnings += [
-                f"{self.plant.robot.joints[j]} is out of its limits by a full turn in all frames, as an angle that a "
-                "recorder wraps: the turn was undone"
-                for j in np.flatnonzero(turned)
-            ]
-        return replace(trajectory, q=q, warnings=tuple(warnings))
+        q, turned = undo_turns(self.plant, trajectory.q)
+        warnings = (
+            f"{self.plant.robot.joints[j]} is out of its limits by a full turn in all frames, as an angle that a "
+            "recorder wraps: the turn was undone"
+            for j in np.flatnonzero(turned)
+        )
+        return replace(trajectory, q=q, warnings=(*trajectory.warnings, *warnings))
 
     def misfit(self, trajectory: Trajectory, enough: float) -> float:
         """Return how badly a trajectory fits the robot (`metrics.misfit`)."""
