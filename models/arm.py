@@ -1,5 +1,6 @@
-"""Loading of seven-joint arms: by name, or from a URDF; with limits, tool, payload and obstacles of the user."""
+"""Loading of arms: by name, or from a URDF; with limits, tool, payload and obstacles of the user."""
 
+import copy
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
@@ -13,8 +14,8 @@ import numpy as np
 from kinebench_drake.errors import InputError, SetupError, UsageError, suggestion
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import absence, cache_folder
-from kinebench_drake.models.joint_limits import LimitTable, read_limit_table, read_limits, write_limits
-from kinebench_drake.models.obstacles import PREFIX, read_obstacles
+from kinebench_drake.models.joint_limits import LimitTable, read_limit_table, read_limits, read_number, write_limits
+from kinebench_drake.models.obstacles import PREFIX, SCHEME, read_obstacles
 from kinebench_drake.models.panda.description import (
     ARM_JOINTS,
     FLANGE_LINK,
@@ -28,7 +29,16 @@ from kinebench_drake.models.panda.description import (
 )
 from kinebench_drake.models.panda.description import rest_q as panda_rest_q
 from kinebench_drake.models.robot import Robot
-from kinebench_drake.models.urdf import LinkTree, convert_urdf, end_link, read_allowed_pairs, read_urdf, srdf_path
+from kinebench_drake.models.urdf import (
+    MOVING,
+    LinkTree,
+    convert_urdf,
+    end_link,
+    find_mesh,
+    read_allowed_pairs,
+    read_urdf,
+    srdf_path,
+)
 
 PANDA = "panda"
 FR3 = "fr3"
@@ -38,6 +48,7 @@ MAX_PAYLOAD_KG = 50.0
 """Greatest payload [kg]; more is taken for another unit."""
 
 _TCP = "tcp"  # attribute of the root element of a converted URDF: name of the link whose frame is G
+_FREE = "angles"  # attribute of the root element: changes the hash of arms whose conversion has changed
 _TOOL_LINK = "added_tool"
 _PAYLOAD_LINK = "added_payload"
 
@@ -66,9 +77,10 @@ def load_robot(
 ) -> Robot:
     """Load an arm: the links between the root of its URDF and the tool, whose frame is G.
 
-    There must be seven revolute or continuous joints between the two (continuous ones get the limits -pi and pi), each
-    with limits of position and speed. Prismatic joints elsewhere are fingers, each opened by half the gap between the
-    pads within its limits; other joints elsewhere are fixed at 0, or at their limit nearest to it. Pairs of links
+    There must be five to seven moving joints between the two, or beyond the last link from which another limb begins. A
+    limit that is not stated is not checked. Prismatic joints beyond them are fingers, each opened by half the gap
+    between the pads within its limits; other joints elsewhere are fixed at 0, or at their limit nearest to it. Where no
+    link has a shape for contact, it is the convex hull of its visual meshes. Pairs of links
     excluded from contact checks are read from an SRDF of the same name beside the URDF; without one they are those of
     `Robot.allowed_pairs`. The rest posture is the Panda's if the joints have its names and their limits contain it,
     else the middle of the limits.
@@ -84,6 +96,8 @@ def load_robot(
     """
     source, table = _find(robot)
     root = read_urdf(source)
+    remarks = [REMARK] if robot == FR3 else []
+    remarks += _fix_base(root)
     tcp = _place_tool(LinkTree(source.name, root), root, tool, is_named=table is not None)
     if robot == FR3:
         make_fr3(root)
@@ -96,9 +110,11 @@ def load_robot(
     if obstacles is not None:
         _add_obstacles(root, obstacles)
     root.set(_TCP, tcp)
-    remarks = [REMARK] if robot == FR3 else []
     if continuous := [str(joint.get("name")) for joint in joints if joint.get("type") == "continuous"]:
-        remarks.append(f"continuous joints are limited to -pi..pi: {', '.join(continuous)}")
+        remarks.append(f"continuous joints have no limits of position: {', '.join(continuous)}")
+        root.set(_FREE, "continuous")
+    remarks += _fix_others(LinkTree(source.name, root), joints)
+    remarks += _complete_shapes(source, root, package_path)
     visuals = _count_visuals(root)
     loaded = _read(convert_urdf(source, Path(robot).stem, root, package_path, obstacles and obstacles.parent))
     left = _count_visuals(read_urdf(loaded.urdf))
@@ -113,6 +129,50 @@ def load_robot(
             "checked; $limits states them"
         )
     return replace(loaded, remarks=tuple(remarks))
+
+
+def _fix_base(root: ElementTree.Element) -> list[str]:
+    """Fix links that float to their parents; return a remark about it."""
+    floating = [joint for joint in root.findall("joint") if joint.get("type") == "floating"]
+    for joint in floating:
+        joint.set("type", "fixed")
+    names = ", ".join(str(joint.get("name")) for joint in floating)
+    return [f"floating joints are taken as fixed, the base does not move: {names}"] if floating else []
+
+
+def _fix_others(tree: LinkTree, joints: Sequence[ElementTree.Element]) -> list[str]:
+    """Fix the joints that are neither of the arm nor of its fingers at 0 where their limits allow it.
+
+    Also drop what mimics another joint, but for the direction in which a finger opens. Return a remark about joints
+    between the root and the arm.
+    """
+    fingers = tree.fingers(joints)
+    before = tree.chain(end_link(joints[0], "parent"))
+    moved = [str(joint.get("name")) for joint in before if joint.get("type") in MOVING]
+    for joint in tree.joints:
+        if joint not in joints and joint not in fingers and joint.get("type") in MOVING:
+            limit = joint.find("limit")
+            ends = [0.0 if limit is None else read_number(limit, name, 0.0) for name in ("lower", "upper")]
+            if joint.get("type") == "continuous" or ends[0] <= 0.0 <= ends[1]:
+                joint.set("type", "fixed")
+    return [f"joints between the base and the arm are fixed: {', '.join(moved)}"] if moved else []
+
+
+def _complete_shapes(source: Path, root: ElementTree.Element, package_path: Path | None) -> list[str]:
+    """Give links the shapes of their visuals for contact where no link has one; return a remark about it."""
+    links = root.findall("link")
+    if any(link.find("collision") is not None for link in links):
+        return []
+    for link in links:
+        for visual in link.findall("visual"):
+            meshes = [str(mesh.get("filename")) for mesh in visual.iter("mesh")]
+            if all(uri.startswith(SCHEME) or find_mesh(source, uri, package_path) for uri in meshes):
+                own = ElementTree.SubElement(link, "collision")
+                own.extend(copy.deepcopy(child) for child in visual if child.tag in ("origin", "geometry"))
+    shapes = sum(link.find("collision") is not None for link in links)
+    if not shapes:
+        return ["no link has a shape for contact: collisions are not checked"]
+    return [f"no link has a shape for contact: the convex hulls of the visual meshes of {shapes} links are used"]
 
 
 def load_converted(id: str) -> Robot | None:
@@ -206,7 +266,7 @@ def _read(urdf: Path) -> Robot:
     joints = tree.arm(tcp)
     names = tuple(str(joint.get("name")) for joint in joints)
     limits = read_limits(urdf.name, joints)
-    fingers = [joint for joint in tree.joints if joint.get("type") == "prismatic"]
+    fingers = tree.fingers(joints)
     along = [tree.root, *(end_link(joint, "child") for joint in tree.chain(tcp))]
     return Robot(
         name=urdf.stem,
@@ -216,11 +276,19 @@ def _read(urdf: Path) -> Robot:
         hand_link=end_link(fingers[0], "parent") if fingers else tree.body(tcp),
         joints=names,
         finger_joints=tuple(str(joint.get("name")) for joint in fingers),
+        finger_signs=tuple(map(_opening, fingers)),
         links=(*along, *(link for link in tree.links if link not in along)),
         rest_q=_rest(names, limits.lower, limits.upper),
         limits=limits,
         allowed_pairs=read_allowed_pairs(srdf) if srdf.is_file() else None,
     )
+
+
+def _opening(finger: ElementTree.Element) -> float:
+    """Return 1 if a finger opens towards its upper limit, -1 if towards its lower one."""
+    limit = finger.find("limit")
+    ends = [0.0 if limit is None else abs(read_number(limit, name, 0.0)) for name in ("lower", "upper")]
+    return -1.0 if ends[0] > ends[1] else 1.0
 
 
 def _rest(names: tuple[str, ...], lower: Array, upper: Array) -> Array:

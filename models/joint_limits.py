@@ -6,35 +6,40 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kinebench_drake.errors import InputError, UsageError, cause, suggestion
 from kinebench_drake.geometry import Array
 
 LEAST_SPEED = 1e-6
 """Lower bound of a speed limit that depends on the position, so that ratios to it are finite [rad/s]."""
-_Seven = tuple[float, float, float, float, float, float, float]
+JOINT_COUNTS = range(5, 8)
+"""Numbers of joints of supported arms."""
+UNLIMITED = 100.0 * math.pi
+"""Limit of joints without one: fifty turns [rad], or as many metres."""
+_Values = Annotated[tuple[float, ...], Field(min_length=JOINT_COUNTS[0], max_length=JOINT_COUNTS[-1])]
 
 
 class LimitTable(BaseModel):
-    """Limits of seven joints, base first, that replace those of a URDF; the JSON of `--limits`."""
+    """Limits of the joints of an arm, base first, that replace those of a URDF; the JSON of `--limits`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     source: str | None = None
     """Where the numbers come from."""
-    lower_rad: _Seven | None = None
-    upper_rad: _Seven | None = None
-    velocity_rad_s: _Seven | None = None
-    acceleration_rad_s2: _Seven | None = None
-    jerk_rad_s3: _Seven | None = None
-    torque_nm: _Seven | None = None
-    torque_rate_nm_s: _Seven | None = None
-    velocity_offset_rad_s: _Seven | None = None
+    lower_rad: _Values | None = None
+    upper_rad: _Values | None = None
+    velocity_rad_s: _Values | None = None
+    acceleration_rad_s2: _Values | None = None
+    jerk_rad_s3: _Values | None = None
+    torque_nm: _Values | None = None
+    torque_rate_nm_s: _Values | None = None
+    velocity_offset_rad_s: _Values | None = None
     """With `deceleration_rad_s2`: speed limits that depend on the position (`JointLimits.speeds`)."""
-    deceleration_rad_s2: _Seven | None = None
+    deceleration_rad_s2: _Values | None = None
 
 
 _ATTRIBUTES = {
@@ -50,6 +55,7 @@ _ATTRIBUTES = {
 }
 """Element of a joint and its attribute by field: URDF, its 2025 extension (acceleration, jerk) and Franka's own."""
 _UNBOUNDED = {
+    "velocity_rad_s": "velocity",
     "torque_nm": "effort",
     "acceleration_rad_s2": "acceleration",
     "jerk_rad_s3": "jerk",
@@ -60,7 +66,7 @@ _UNBOUNDED = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JointLimits:
-    """Limits of an arm's joints, (7,) each; infinite where a joint states none."""
+    """Limits of an arm's joints, (J,) each; infinite where a joint states none."""
 
     lower: Array
     """Lower limits [rad]."""
@@ -78,11 +84,13 @@ class JointLimits:
     """Greatest rates of commanded torques [N m/s], of `export-commands`; None if no joint states one."""
     velocity_offset: Array | None = None
     """Offsets of the speed limits near a position limit [rad/s], with `deceleration`."""
+    unlimited: tuple[str, ...] = ()
+    """Joints without limits of position that are not continuous: theirs are +-`UNLIMITED`."""
     deceleration: Array | None = None
     """Decelerations that bound the speeds near a position limit [rad/s^2]; None: the speed limits are constant."""
 
     def speeds(self, q: Array, v: Array) -> Array:
-        """Return the speed limits (..., 7) [rad/s] at joint angles `q` [rad] in the direction of the speeds `v`.
+        """Return the speed limits (..., J) [rad/s] at joint angles `q` [rad] in the direction of the speeds `v`.
 
         Near a position limit min(velocity, sqrt(2 deceleration room) - offset), `room` the angle up to the limit.
         Source: Franka Robotics, "Control Interface Specification and Robot Limits", position-based velocity limits.
@@ -96,8 +104,9 @@ class JointLimits:
     @property
     def unstated(self) -> tuple[str, ...]:
         """Kinds of limits that at least one joint does not state, so that they cannot be checked."""
-        stated = {"acceleration": self.acceleration, "jerk": self.jerk, "torque": self.torque}
-        return tuple(kind for kind, limit in stated.items() if limit is None or not np.isfinite(limit).all())
+        rates = {"velocity": self.velocity, "acceleration": self.acceleration, "jerk": self.jerk, "torque": self.torque}
+        kinds = (kind for kind, limit in rates.items() if limit is None or not np.isfinite(limit).all())
+        return (*(("position",) if self.unlimited else ()), *kinds)
 
 
 def read_limit_table(path: Path) -> LimitTable:
@@ -111,7 +120,7 @@ def read_limit_table(path: Path) -> LimitTable:
     except ValidationError as error:
         first = error.errors()[0]
         key = str(first["loc"][0]) if first["loc"] else ""
-        what = f"{key or 'its content'} is not valid ({first['msg']}), expected seven numbers, base first"
+        what = f"{key or 'its content'} is not valid ({first['msg']}), expected a number for each joint, base first"
         if first["type"] == "extra_forbidden":
             what = f"has no key {key!r}{suggestion(key, _ATTRIBUTES)}; valid are {', '.join(LimitTable.model_fields)}"
         raise UsageError(f"$limits {path.name}: {what}") from None
@@ -123,9 +132,15 @@ def read_limit_table(path: Path) -> LimitTable:
 
 
 def write_limits(joints: Sequence[ElementTree.Element], table: LimitTable) -> None:
-    """Write the limits of a table into the seven joint elements of a URDF."""
+    """Write the limits of a table into the joint elements of a URDF.
+
+    Raises:
+        UsageError: it has not as many numbers as there are joints.
+    """
     for name, (tag, attribute) in _ATTRIBUTES.items():
-        values: _Seven | None = getattr(table, name)
+        values: tuple[float, ...] | None = getattr(table, name)
+        if values is not None and len(values) != len(joints):
+            raise UsageError(f"$limits: {name} has {len(values)} numbers, the arm {len(joints)} joints")
         for joint, value in zip(joints, values or (), strict=False):
             element = joint.find(tag)
             element = ElementTree.SubElement(joint, tag) if element is None else element
@@ -133,44 +148,49 @@ def write_limits(joints: Sequence[ElementTree.Element], table: LimitTable) -> No
 
 
 def read_limits(file: str, joints: Sequence[ElementTree.Element]) -> JointLimits:
-    """Read the limits of the seven joint elements of a URDF called `file`; continuous joints turn from -pi to pi.
+    """Read the limits of the joint elements of a URDF called `file`; limits of 0 are not stated.
 
     Raises:
-        InputError: a joint lacks its limits of position or speed, or a limit is no positive number.
+        InputError: the limits of a position contradict each other, or another limit is no positive number.
     """
     values = {
         name: np.array([_read(joint, *place, default=math.inf if name in _UNBOUNDED else math.nan) for joint in joints])
         for name, place in _ATTRIBUTES.items()
     }
-    lower, upper, velocity = (values[name] for name in ("lower_rad", "upper_rad", "velocity_rad_s"))
+    lower, upper = (values[name] for name in ("lower_rad", "upper_rad"))
+    unlimited = []
     for k, joint in enumerate(joints):
         name = f"{file}: joint {joint.get('name')}"
-        if not 0.0 < velocity[k] < math.inf:
-            raise InputError(f"{name} has no positive velocity limit; state it in its <limit> element")
-        if joint.get("type") == "continuous":
-            lower[k] = -math.pi
-            upper[k] = math.pi
+        limit = joint.find("limit")
+        is_stated = limit is not None and {"lower", "upper"} & limit.attrib.keys() and (lower[k] or upper[k])
+        if joint.get("type") == "continuous" or not is_stated:
+            lower[k] = -UNLIMITED
+            upper[k] = UNLIMITED
+            unlimited += [str(joint.get("name"))] if joint.get("type") != "continuous" else []
         if not -math.inf < lower[k] < upper[k] < math.inf:
             raise InputError(
-                f"{name} has the limits {lower[k]:g} and {upper[k]:g} rad, expected lower < upper, both stated"
+                f"{name} has the limits {lower[k]:g} and {upper[k]:g} rad, expected lower < upper, both stated or none"
             )
         for field, what in _UNBOUNDED.items():
+            if values[field][k] == 0.0 and field in ("velocity_rad_s", "torque_nm"):
+                values[field][k] = math.inf
             if not values[field][k] > 0.0:
                 raise InputError(f"{name} has the {what} limit {values[field][k]:g}, expected a positive number")
     offset = values["velocity_offset_rad_s"]
     deceleration = values["deceleration_rad_s2"]
     if np.isnan([offset, deceleration]).any() != np.isnan([offset, deceleration]).all():
-        raise InputError(f"{file}: position_based_velocity_limits need both attributes at each of the seven joints")
+        raise InputError(f"{file}: position_based_velocity_limits need both attributes at each joint")
     return JointLimits(
         lower=lower,
         upper=upper,
-        velocity=velocity,
+        velocity=values["velocity_rad_s"],
         torque=values["torque_nm"],
         acceleration=_stated(values["acceleration_rad_s2"]),
         jerk=_stated(values["jerk_rad_s3"]),
         torque_rate=_stated(values["torque_rate_nm_s"]),
         velocity_offset=_stated(offset),
         deceleration=_stated(deceleration),
+        unlimited=tuple(unlimited),
     )
 
 

@@ -1,4 +1,4 @@
-"""Description of a seven-joint arm: files, names of links and joints, limits."""
+"""Description of an arm: files, names of links and joints, limits."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +7,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.models.joint_limits import JointLimits
 
 N_JOINTS = 7
-"""Number of moving joints between base and tool of every supported arm."""
+"""Number of joints of the Panda."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,15 +24,17 @@ class Robot:
     hand_link: str
     """Frame H, the link of the gripper's body."""
     joints: tuple[str, ...]
-    """Seven moving joints from base to tool, base first."""
+    """Moving joints from base to tool, base first."""
     finger_joints: tuple[str, ...]
     """Prismatic joints of the gripper; each opens by half the gap between the pads."""
+    finger_signs: tuple[float, ...]
+    """For each finger 1 if it opens towards its upper limit, -1 if towards its lower one."""
     links: tuple[str, ...]
     """Links whose poses are reported, base first."""
     rest_q: Array
-    """(7,) rest posture [rad], the default start of searches."""
+    """(J,) rest posture [rad], the default start of searches."""
     limits: JointLimits
-    """Limits of the seven joints."""
+    """Limits of the joints."""
     allowed_pairs: frozenset[frozenset[str]] | None
     """Pairs of links excluded from contact checks, as in the robot's SRDF.
 

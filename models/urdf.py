@@ -1,21 +1,22 @@
 """Conversion of URDF files for Drake: meshes are converted once into the user's cache folder."""
 
 import hashlib
-import math
+import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from kinebench_drake.errors import InputError, SetupError, cause
 from kinebench_drake.io.atomic import atomic_folder
 from kinebench_drake.io.files import cache_folder
+from kinebench_drake.models.joint_limits import JOINT_COUNTS
 from kinebench_drake.models.obstacles import SCHEME
-from kinebench_drake.models.robot import N_JOINTS
 
 TURNING = ("revolute", "continuous")
 """Types of the joints of an arm."""
-JOINT_TYPES = (*TURNING, "prismatic", "fixed")
+MOVING = (*TURNING, "prismatic")
+JOINT_TYPES = (*MOVING, "fixed")
 """Types of joints that are supported."""
 
 
@@ -65,25 +66,46 @@ class LinkTree:
             yield joint
 
     def arm(self, tcp: str) -> tuple[ElementTree.Element, ...]:
-        """Return the seven moving joints between the root and the link `tcp`.
+        """Return the moving joints of the arm that ends in the link `tcp`.
+
+        They lie between the root and that link; of a body with several limbs, beyond the last link at which another
+        limb as long as an arm begins.
 
         Raises:
-            InputError: there are more or fewer, or one is neither revolute nor continuous.
+            InputError: there are more or fewer than those of an arm.
         """
-        moving = [joint for joint in self.chain(tcp) if joint.get("type") != "fixed"]
-        for joint in moving:
-            if joint.get("type") not in TURNING:
-                raise InputError(
-                    f"{self.file}: joint {joint.get('name')} between {self.root} and {tcp} is {joint.get('type')}, "
-                    "expected revolute or continuous joints"
-                )
-        if len(moving) != N_JOINTS:
+        path = list(self.chain(tcp))
+        moving = [joint for joint in path if joint.get("type") != "fixed"]
+        for k, joint in reversed([*enumerate(moving)]):
+            if len(moving) - k in JOINT_COUNTS and self._has_other_limb(end_link(joint, "parent"), path):
+                return tuple(moving[k:])
+        if len(moving) not in JOINT_COUNTS:
             names = ", ".join(str(joint.get("name")) for joint in moving) or "none"
             raise InputError(
-                f"{self.file}: {len(moving)} revolute joints between {self.root} and {tcp} ({names}), "
-                f"expected {N_JOINTS}"
+                f"{self.file}: {len(moving)} moving joints between {self.root} and {tcp} ({names}), "
+                f"expected {JOINT_COUNTS[0]} to {JOINT_COUNTS[-1]}"
             )
         return tuple(moving)
+
+    def _has_other_limb(self, link: str, path: Sequence[ElementTree.Element]) -> bool:
+        """Return whether from a link, or those fixed to it, another limb with as many joints as an arm begins."""
+        fixed = {link}
+        for joint in self.joints:  # links follow their parents in files
+            if joint.get("type") == "fixed" and joint not in path and end_link(joint, "parent") in fixed:
+                fixed.add(end_link(joint, "child"))
+        others = [joint for joint in self.joints if joint not in path and end_link(joint, "parent") in fixed]
+        return any(self._depth(end_link(joint, "child")) + 1 >= JOINT_COUNTS[0] for joint in others)
+
+    def _depth(self, link: str) -> int:
+        """Return the greatest number of moving joints between a link and one beyond it."""
+        beyond = [joint for joint in self.joints if end_link(joint, "parent") == link]
+        return max((self._depth(end_link(j, "child")) + (j.get("type") in MOVING) for j in beyond), default=0)
+
+    def fingers(self, arm: Sequence[ElementTree.Element]) -> tuple[ElementTree.Element, ...]:
+        """Return the prismatic joints beyond the last joint of an arm."""
+        last = arm[-1]
+        slides = [joint for joint in self.joints if joint.get("type") == "prismatic" and joint is not last]
+        return tuple(joint for joint in slides if last in self.chain(end_link(joint, "child")))
 
     def body(self, link: str) -> str:
         """Return the link itself or its nearest ancestor with a visual; the root if none has one."""
@@ -110,7 +132,11 @@ def read_urdf(source: Path) -> ElementTree.Element:
         InputError: the file cannot be read, or is no URDF.
     """
     try:
-        root = ElementTree.fromstring(source.read_bytes())
+        text = source.read_bytes()
+        # Drake accepts prefixes that no attribute xmlns declares.
+        prefixes = {*re.findall(rb"[\s</](\w+):\w+\s*[=/>\s]", text)} - {*re.findall(rb"xmlns:(\w+)", text), b"xmlns"}
+        names = b"".join(b' xmlns:%b="%b"' % (prefix, prefix) for prefix in sorted(prefixes))
+        root = ElementTree.fromstring(text.replace(b"<robot ", b"<robot" + names + b" ", 1))
     except ElementTree.ParseError as error:
         raise InputError(f"{source.name}: not a URDF ({error})") from None
     except OSError as error:
@@ -131,9 +157,8 @@ def convert_urdf(
 
     Collision meshes become their convex hulls (.obj), visual meshes one-colour .obj files with the original triangles;
     unreadable visual meshes are left out. `mimic` and `safety_controller` elements and joint friction are dropped:
-    Drake does not use them in a continuous-time plant. `continuous` joints get the limits -pi and pi. An SRDF beside
-    the source is copied. The name of the folder identifies the content: `name` and a hash of all files; meshes are
-    found by `find_mesh`.
+    Drake does not use them in a continuous-time plant. An SRDF beside the source is copied. The name of the folder
+    identifies the content: `name` and a hash of all files; meshes are found by `find_mesh`.
 
     Args:
         name: name of the converted file, without its suffix.
@@ -219,11 +244,6 @@ def _convert(source: Path, root: ElementTree.Element, meshes: Mapping[str, Path 
                 for child in parent.findall(tag):
                     parent.remove(child)
         for joint in root.findall("joint"):
-            if joint.get("type") == "continuous":
-                joint.set("type", "revolute")
-                limit = joint.find("limit")
-                limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
-                limit.attrib.update(lower=repr(-math.pi), upper=repr(math.pi))
             for dynamics in joint.findall("dynamics"):
                 dynamics.attrib.pop("friction", None)
         targets = _targets(meshes)

@@ -10,6 +10,8 @@ ROTATION_ARM_M = 0.1
 
 REACHED_M = 1e-10
 """Weighted error [m] below which the pose counts as reached and the iteration ends."""
+ROWS_STEPS = 25
+"""Greatest number of steps from a posture far from the pose."""
 SLOW_GAIN = 1e-4
 """Relative gain below which a step counts as slow; three slow steps end the iteration."""
 
@@ -17,9 +19,9 @@ SLOW_GAIN = 1e-4
 _PATH_STEPS = 6
 _PATH_STEP_RAD = 0.5
 _PATH_DAMPING = 1e-6
-_ROWS_STEPS = 25
 _ROWS_STEP_RAD = 0.7
 _LEAST_DAMPING = 1e-12
+_LEAST_SIN = 1e-9
 _LEAST_TURN = 1e-6  # angular part of a left null vector below which there is no axis
 _ROWS_DAMPING = 1e-4  # far from the pose, relative to the square of the error [m]
 
@@ -36,6 +38,20 @@ def _error(X_BG: Array, X_now: Array) -> Array:
         e[:3] = twice_sin * (0.5 if sin < 1e-9 else 0.5 * np.arctan2(sin, cos) / sin)
     else:  # near half a turn the formula above loses the axis to rounding
         e[:3] = rotation_log(R)
+    return e
+
+
+def _errors(X_BG: Array, X_now: Array) -> Array:
+    """Return `_error` of rows (n, 4, 4), less exact near half a turn: several times as fast as `pose_twists`."""
+    R = X_BG[:, :3, :3] @ np.swapaxes(X_now[:, :3, :3], -1, -2)
+    e = np.empty((len(R), 6))
+    e[:, 0] = R[:, 2, 1] - R[:, 1, 2]
+    e[:, 1] = R[:, 0, 2] - R[:, 2, 0]
+    e[:, 2] = R[:, 1, 0] - R[:, 0, 1]
+    sin = 0.5 * np.sqrt((e[:, :3] * e[:, :3]).sum(axis=-1))
+    angle = np.arctan2(sin, 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0))
+    e[:, :3] *= np.where(sin > _LEAST_SIN, 0.5 * angle / np.maximum(sin, _LEAST_SIN), 0.5)[:, None]
+    e[:, 3:] = X_BG[:, :3, 3] - X_now[:, :3, 3]
     return e
 
 
@@ -131,7 +147,9 @@ def solve_newton(
     return q, float(np.sqrt(cost))
 
 
-def solve_newton_rows(plant: ArmPlant, X_BG: Array, q: Array, *, bounded: bool = False) -> Array:
+def solve_newton_rows(
+    plant: ArmPlant, X_BG: Array, q: Array, *, bounded: bool = False, iterations: int = ROWS_STEPS
+) -> Array:
     """Solve poses `X_BG` (n, 4, 4), each from a posture of `q` (n, J) [rad]: (n, J), NaN where steps do not converge.
 
     Newton steps for all rows at once, damped by the error (N. Yamashita and M. Fukushima, "On the rate of convergence
@@ -141,9 +159,9 @@ def solve_newton_rows(plant: ArmPlant, X_BG: Array, q: Array, *, bounded: bool =
     solved = np.full_like(q, np.nan)
     rows = np.flatnonzero(np.isfinite(q).all(axis=-1))
     weight = np.repeat([ROTATION_ARM_M, 1.0], 3)
-    for _ in range(_ROWS_STEPS):
+    for _ in range(iterations):
         X_now, J = plant.chain.poses_and_jacobians(q[rows])
-        counted, e = followed_error(weight[:, None] * J, weight * pose_twists(X_now, X_BG[rows]))
+        counted, e = followed_error(weight[:, None] * J, weight * _errors(X_BG[rows], X_now))
         square = (counted * counted).sum(axis=-1)
         reached = square < REACHED_M**2
         solved[rows[reached]] = q[rows[reached]]

@@ -111,11 +111,11 @@ class _Smoothing:
         dt = np.diff(t_s)[:, None]
         accelerations = plant.acceleration_limits
         if accelerations is None:
-            accelerations = ASSUMED_ACCELERATION_PER_SPEED * plant.velocity_limits
+            accelerations = ASSUMED_ACCELERATION_PER_SPEED * plant.planned_speeds
         self._rest = plant.robot.rest_q
         self._lower = plant.lower + _NEAR_LIMIT_RAD
         self._upper = plant.upper - _NEAR_LIMIT_RAD
-        v = 1.0 / (dt * plant.velocity_limits + np.sqrt(2.0) * noise)  # (T-1, J)
+        v = 1.0 / (dt * plant.planned_speeds + np.sqrt(2.0) * noise)  # (T-1, J)
         self._stencils = [[-v, v]]
         if len(dt) > 1:
             mean = 0.5 * (dt[1:] + dt[:-1])
@@ -200,7 +200,7 @@ def limit_margin(plant: ArmPlant, q: Array) -> Array:
 
 def speed_ratios(plant: ArmPlant, t_s: Array, q: Array) -> Array:
     """Return joint speeds / limits (n - 1, J) between consecutive rows of `q` (n, J) [rad] at times `t_s` (n,) [s]."""
-    return np.asarray(np.abs(np.diff(q, axis=0)) / np.diff(t_s)[:, None] / plant.velocity_limits)
+    return np.asarray(np.abs(np.diff(q, axis=0)) / np.diff(t_s)[:, None] / plant.planned_speeds)
 
 
 def within_limits(plant: ArmPlant, layers: list[Array], past_rad: float = 0.0) -> list[Array]:
@@ -334,10 +334,10 @@ def find_cheapest_path(
     own = FROM_REST * np.sum((rows - plant.robot.rest_q) ** 2, axis=-1)
     own += PAST_LIMIT_COST * limit_excess(plant, rows).max(axis=-1)
     ends = np.cumsum([len(layers[i]) for i in frames])[:-1]
-    scaled = np.split(rows / plant.velocity_limits, ends)
+    scaled = np.split(rows / plant.planned_speeds, ends)
     costs = np.split(own, ends)
-    dt = np.diff(t_s[frames]) + ALLOWANCE * np.sqrt(2.0) * noise_rad / plant.velocity_limits.min()
-    slack_s = spacing / plant.velocity_limits.min()
+    dt = np.diff(t_s[frames]) + ALLOWANCE * np.sqrt(2.0) * noise_rad / plant.planned_speeds.min()
+    slack_s = spacing / plant.planned_speeds.min()
     cost = FROM_START * np.sum((layers[frames[0]] - q_start) ** 2, axis=-1) + costs[0]
     parents = []
     for (before, after), step_s, added in zip(pairwise(scaled), dt, costs[1:], strict=True):

@@ -21,6 +21,9 @@ from kinebench_drake.models.arm import panda
 from kinebench_drake.models.obstacles import is_obstacle
 from kinebench_drake.models.robot import Robot
 
+ASSUMED_SPEED = float(np.pi)
+"""Speed by which paths of joints without a speed limit are compared [rad/s]: half a turn a second, as of small arms."""
+
 
 class ArmPlant:
     """Arm of J = 5 to 7 joints with its base link fixed at the origin of B.
@@ -62,6 +65,7 @@ class ArmPlant:
         self.arm_rates = _index([joint.velocity_start() for joint in joints])
         """Indices of the arm joints in the plant's velocities."""
         self._fingers = np.array([joint.position_start() for joint in fingers], dtype=np.intp)
+        self._half = 0.5 * np.array(self.robot.finger_signs)
         self._opening = np.array([[j.position_lower_limit(), j.position_upper_limit()] for j in fingers]).reshape(-1, 2)
         limits = self.robot.limits
         self.lower = limits.lower
@@ -69,6 +73,8 @@ class ArmPlant:
         """(J,) lower and upper joint limits [rad]."""
         self.velocity_limits = limits.velocity
         """(J,) joint speed limits at any position [rad/s]; `limits.speeds` are those at one position."""
+        self.planned_speeds = np.where(np.isfinite(limits.velocity), limits.velocity, ASSUMED_SPEED)
+        """(J,) joint speeds by which paths are compared [rad/s]: the limits, where they are stated."""
         self.acceleration_limits = limits.acceleration
         """(J,) joint acceleration limits [rad/s^2]; None if not stated."""
         self.jerk_limits = limits.jerk
@@ -79,7 +85,7 @@ class ArmPlant:
         """Default gap between the finger pads [m]."""
         low = plant.GetPositionLowerLimits()
         self._default = np.clip(np.zeros(plant.num_positions()), low, plant.GetPositionUpperLimits())
-        self._default[self._fingers] = np.clip(finger_width_m / 2.0, *self._opening.T)
+        self._default[self._fingers] = np.clip(finger_width_m * self._half, *self._opening.T)
         self._positions = self._default.copy()
         self.chain = LinkChain(plant, self.robot, self.positions)
         """Link poses and Jacobians of many postures at once."""
@@ -118,7 +124,7 @@ class ArmPlant:
         self._positions[:] = self._default
         self._positions[self.arm] = q
         if finger_width_m is not None:
-            self._positions[self._fingers] = np.clip(finger_width_m / 2.0, *self._opening.T)
+            self._positions[self._fingers] = np.clip(finger_width_m * self._half, *self._opening.T)
         self.drake.SetPositions(self.context, self._positions)
 
     def positions(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Array:
@@ -137,7 +143,7 @@ class ArmPlant:
         positions[:, self.arm] = q
         if finger_width_m is not None:
             width = np.asarray(finger_width_m, dtype=np.float64)[:, None]
-            fingers = np.clip(width / 2.0, *self._opening.T)
+            fingers = np.clip(width * self._half, *self._opening.T)
             positions[:, self._fingers] = np.where(np.isfinite(width), fingers, self._default[self._fingers])
         return positions
 

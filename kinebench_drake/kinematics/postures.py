@@ -9,13 +9,17 @@ from typing import Protocol
 import numpy as np
 from typing_extensions import override
 
-from kinebench_drake.geometry import Array, invert
+from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.kinematics.analytic import N_BRANCHES, analytic_ik, branch_of, flange_pose, reach_window
-from kinebench_drake.kinematics.newton import solve_newton_rows
+from kinebench_drake.kinematics.newton import ROWS_STEPS, solve_newton_rows
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.robot import N_JOINTS
 
 _STARTS = 64  # starts of the numeric search for the first pose of a track
+_COARSE = 36  # greatest number of samples for which new starts are not tried for every pose,
+_EVERY = 8  # but for one of these, and where a posture of the pose before is lost
+_NEAR_STEPS = 8  # from a posture of the pose before
+_FREE_TURN_RAD = 0.3  # of five joints: greater turns than those by which smoothing changes a pose are another posture's
 FAR_RAD = 0.15
 """Distance of the ends of an interval of the grid above which it is halved [rad]."""
 DUPLICATE_RAD = 0.05
@@ -149,18 +153,27 @@ class NumericSolver(PostureSolver):
         before = self._starts[:0]
         is_redundant = before.shape[1] > 6  # its postures may be moved into the limits
         for X in X_BG:
-            fresh = self._starts[: max(8, samples // 4) if layers else _STARTS]
-            starts = np.vstack([before, fresh])
-            q = solve_newton_rows(self._plant, np.broadcast_to(X, (len(starts), 4, 4)), starts, bounded=is_redundant)
-            q[len(before) :] = self._wrapped(q[len(before) :])
+            near = self._solve(X, before, bounded=is_redundant, iterations=_NEAR_STEPS)
+            is_sure = len(near) == len(before) > 0 and samples <= _COARSE
+            count = 0 if is_sure and len(layers) % _EVERY else max(8, samples // 4)
+            fresh = self._solve(X, self._starts[: count if layers else _STARTS], bounded=is_redundant)
             postures: list[Array] = []
-            for row in _listed(q):
+            for row in _listed(np.vstack([near, self._wrapped(fresh)])):
                 if all(np.abs(row - other).max() > DUPLICATE_RAD for other in postures):
                     postures.append(row)
             layers.append(np.reshape(postures, (-1, before.shape[1])))
             past = np.maximum(self._plant.lower - layers[-1], layers[-1] - self._plant.upper).max(axis=-1, initial=0.0)
             before = layers[-1][past <= DUPLICATE_RAD]
         return layers
+
+    def _solve(self, X: Array, q: Array, *, bounded: bool, iterations: int = ROWS_STEPS) -> Array:
+        """Return the postures (M, J) that reach the pose (4, 4) from `q` (N, J)."""
+        poses = np.broadcast_to(X, (len(q), 4, 4))
+        q = _listed(solve_newton_rows(self._plant, poses, q, bounded=bounded, iterations=iterations))
+        if q.shape[1] > 5 or not len(q):
+            return q
+        turn = pose_difference(self._plant.chain.poses(q, self._plant.robot.tcp_link), X)[1]
+        return np.asarray(q[turn <= _FREE_TURN_RAD])
 
     def _wrapped(self, q: Array) -> Array:
         """Return postures (N, J) with each angle within half a turn of the middle of its limits."""

@@ -84,6 +84,8 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
         return TimeScale(reason="fewer than two frames with joint angles: there is no path")
     if not (np.diff(t) > 0.0).all():
         return TimeScale(reason="the times do not increase from frame to frame")
+    if not np.isfinite(plant.velocity_limits).any():
+        return TimeScale(reason=f"{plant.robot.name} states no velocity limits")
     if (np.ptp(rows, axis=0) < STILL_RAD).all():
         return TimeScale(reason="the joints do not move: a rest has no fastest duration")
     motion = _PathMotion(plant, t, rows, frames)
@@ -109,7 +111,7 @@ class _PathMotion:
         self.frames = frames
         self.t = t_s - t_s[0]
         spline: Any = CubicSpline(self.t, q)
-        self.grid = _grid(self.t, spline, plant.velocity_limits, halvings)
+        self.grid = _grid(self.t, spline, plant.planned_speeds, halvings)
         q, v, a = (np.asarray(spline(self.grid, order)) for order in range(3))
         still = np.zeros_like(v)
         # Torques are linear in d2s/dt2 and (ds/dt)^2.

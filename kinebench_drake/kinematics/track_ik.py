@@ -8,12 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference
+from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference, rotation_exp
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD, solve_pose
-from kinebench_drake.kinematics.newton import damped_pseudoinverses, pose_twists, solve_newton_path
+from kinebench_drake.kinematics.newton import (
+    REACHED_M,
+    ROTATION_ARM_M,
+    damped_pseudoinverses,
+    followed_error,
+    pose_twists,
+    solve_newton,
+    solve_newton_path,
+    solve_newton_rows,
+)
 from kinebench_drake.kinematics.path import SAMPLES, grid_postures, limit_excess, search_path, within_limits
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.postures import spread_postures
 from kinebench_drake.segments import spread
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
@@ -24,6 +34,7 @@ JUMP_RAD = 0.5
 PROBES = 24
 """Colliding frames that are tested for collision-free postures before the path is searched again."""
 
+_FREE_STARTS = 64  # postures from which a pose is searched that five joints do not reach near the one before
 _CONTACTS = (IkStatus.SELF_COLLISION, IkStatus.TABLE_COLLISION, IkStatus.OBSTACLE_COLLISION)
 
 
@@ -74,6 +85,35 @@ def solve_track(
             plant, collision, X_BG, track.finger_width_m[frames], joints, contact_tolerance_m, noise_rad
         )
     return _with_gaps(joints, track, frames)
+
+
+def settle_free_turns(plant: ArmPlant, X_BG: Array) -> Array:
+    """Return the poses (T, 4, 4) that an arm is to follow; NaN stays NaN.
+
+    With six joints and more these are the poses `X_BG` themselves. Five joints follow the position and the direction of
+    one axis (`newton.followed_error`): the turn about it, which does not count, is set to the one that comes with them.
+    """
+    if len(plant.lower) > 5:
+        return X_BG
+    settled = X_BG.copy()
+    q = plant.robot.rest_q
+    for i in np.flatnonzero(np.isfinite(X_BG).all(axis=(1, 2))):
+        near, error = solve_newton(plant, X_BG[i], q, iterations=20)
+        found = near[None]
+        if error > REACHED_M:
+            starts = spread_postures(plant, _FREE_STARTS)
+            postures = solve_newton_rows(plant, np.broadcast_to(X_BG[i], (len(starts), 4, 4)), starts)
+            postures = postures[np.isfinite(postures).all(axis=-1)]
+            found = postures if len(postures) else found
+        past = limit_excess(plant, found).max(axis=-1)
+        turns = pose_difference(plant.forward_path(found), X_BG[i])[1]
+        q = found[np.argmin(turns + np.where(past > 0.0, np.pi + past, 0.0))]
+        X_now, J = plant.forward_and_jacobian(q)
+        weight = np.repeat([ROTATION_ARM_M, 1.0], 3)
+        error_G = weight * pose_twists(X_BG[[i]], X_now[None])[0]
+        free = (error_G - followed_error(weight[:, None] * J, error_G)[0])[:3] / ROTATION_ARM_M
+        settled[i, :3, :3] = rotation_exp(free) @ X_BG[i, :3, :3]
+    return settled
 
 
 def branch_jumps(plant: ArmPlant, X_BG: Array, q: Array) -> NDArray[np.intp]:

@@ -15,7 +15,7 @@ from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import time_scale
-from kinebench_drake.kinematics.track_ik import branch_jumps, find_free, solve_track
+from kinebench_drake.kinematics.track_ik import branch_jumps, find_free, settle_free_turns, solve_track
 from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.metrics.coverage import (
     Coverage,
@@ -111,6 +111,7 @@ class TrackJudge:
 
         Where the turn of the gripper about its own axis is not sure, only what no turn avoids is a violation.
         """
+        track = replace(track, X_BG=settle_free_turns(self._plant, track.X_BG))
         path, checks = self._solve(track)
         violations, open_kinds = self._settle(path, self._pose_violations(path, checks))
         if violations and not track.turn_is_sure:
@@ -421,7 +422,7 @@ def _undecided(track: GripperTrack, checks: LimitChecks) -> str | None:
     if tracked < max(MIN_TRACKED_FRAMES, MIN_TRACKED_FRACTION * n):
         return f"{tracked} of {n} frames are tracked; {MIN_TRACKED_FRAMES} and half of all are needed for a verdict"
     speed = checks.checks.get(ViolationKind.VELOCITY)
-    measured = 0 if speed is None else int(np.isfinite(speed.value).all(axis=-1).sum())
+    measured = int(np.isfinite(checks.q_smooth if speed is None else speed.value).all(axis=-1).sum())
     if measured < MIN_TRACKED_FRACTION * tracked:
         return f"{measured} of {tracked} tracked frames are reached; half of them are needed for a verdict"
     return None

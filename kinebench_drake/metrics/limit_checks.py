@@ -118,11 +118,11 @@ def check_limits(
     reasons: dict[ViolationKind, str] = {}
     derivatives: dict[ViolationKind, Derivative] = {}
     for order, (kind, limit) in enumerate(zip(RATES, plant.rate_limits, strict=True), 1):
-        scale = plant.velocity_limits if limit is None else limit
+        scale = plant.planned_speeds if limit is None else np.where(np.isfinite(limit), limit, plant.planned_speeds)
         derivatives[kind] = derivative = differentiate(t_s, q, sigma, order, scale)
         if not np.isfinite(derivative.value).any():
             reasons[kind] = f"fewer than {order + 1} frames have joint angles"
-        elif limit is None:
+        elif limit is None or not np.isfinite(limit).any():
             reasons[kind] = f"{plant.robot.name} states no {kind.value} limits: not checked"
         else:
             limits = _speed_limits(plant, q, sigma, derivative, z) if kind is ViolationKind.VELOCITY else limit

@@ -1,17 +1,24 @@
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.geometry import rotation_exp
 from kinebench_drake.kinematics.collision import CollisionModel
+from kinebench_drake.kinematics.ik import solve_pose
+from kinebench_drake.kinematics.manipulability import compute_manipulability
 from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import time_scale
+from kinebench_drake.kinematics.track_ik import settle_free_turns
 from kinebench_drake.models.arm import load_robot, panda
 from kinebench_drake.models.panda.description import TCP_LINK, source_urdf
 from kinebench_drake.models.robot import Robot
+from kinebench_drake.track import IkStatus
 
 Write = Callable[..., Path]
 ROBOTS = source_urdf().parent.parent
@@ -85,7 +92,7 @@ def test_arm_joints_need_not_come_first_in_drakes_order(write_arm: Write) -> Non
     )
     plant = ArmPlant(load_robot(urdf, "tool"))
     plain = ArmPlant(load_robot(write_arm(limits=strong), "tool"))
-    assert plant.robot.finger_joints == ("a_slide",)
+    assert plant.robot.finger_joints == ()
     rng = np.random.default_rng(1)
     q, v, a = rng.uniform(plant.lower, plant.upper, size=(3, 7))
     np.testing.assert_allclose(plant.forward(q), plain.forward(q), atol=1e-12)
@@ -183,12 +190,98 @@ def test_round_shapes_have_exact_distances_and_gradients(write_arm: Write) -> No
     assert {("l2", "l7"), ("l2", "l5"), ("l5", "table"), ("l7", "table")} <= checked
 
 
-def test_continuous_joints_are_limited_to_half_a_turn_each_way_with_a_remark(write_arm: Write) -> None:
+def test_continuous_joints_turn_without_limits_with_a_remark(write_arm: Write) -> None:
     plant = ArmPlant(load_robot(write_arm(types={1: "continuous", 7: "continuous"}), "tool"))
-    assert plant.lower[[0, 6]].tolist() == [-np.pi, -np.pi]
-    assert plant.upper[[0, 6]].tolist() == [np.pi, np.pi]
+    assert (plant.upper[[0, 6]] > 50.0).all()
+    assert (plant.lower[[0, 6]] < -50.0).all()
     assert plant.robot.rest_q[0] == 0.0
+    assert "position" not in plant.robot.limits.unstated
     assert any("j1, j7" in remark for remark in plant.robot.remarks)
+    pose = plant.forward(plant.robot.rest_q + 0.3)
+    assert solve_pose(plant, pose, plant.robot.rest_q).status is IkStatus.OK
+
+
+def test_limits_that_a_description_lacks_are_not_checked_and_listed(write_arm: Write) -> None:
+    limits = {4: "", 5: '<limit lower="0" upper="0" velocity="0" effort="0"/>', 6: '<limit lower="-1" upper="1"/>'}
+    robot = load_robot(write_arm(limits=limits), "tool")
+    assert robot.limits.unlimited == ("j4", "j5")
+    assert robot.limits.unstated == ("position", "velocity", "acceleration", "jerk", "torque")
+    assert np.isinf(robot.limits.velocity).tolist() == [False] * 3 + [True] * 3 + [False]
+    [remark] = [text for text in robot.remarks if "states no limits" in text]
+    assert "position and velocity" in remark
+
+
+@pytest.mark.parametrize("joints", [5, 6, 7])
+@pytest.mark.parametrize("types", [{}, {2: "prismatic"}])
+def test_arms_of_five_to_seven_joints_obey_drakes_kinematics_and_dynamics(
+    write_arm: Write, joints: int, types: dict[int, str]
+) -> None:
+    plant = ArmPlant(load_robot(write_arm(joints=joints, types=types), "tool"))
+    rng = np.random.default_rng(joints)
+    q, v, a = rng.uniform(plant.lower, plant.upper, size=(3, joints))
+    J = plant.jacobian(q)
+    assert J.shape == (6, joints)
+    np.testing.assert_allclose(plant.chain.jacobians(q[None])[0], J, atol=1e-12)
+    np.testing.assert_allclose(plant.chain.torques(q[None], v[None], a[None])[0], plant.torque(q, v, a), atol=1e-9)
+    w = compute_manipulability(plant, q[None]).full[0]
+    assert w == pytest.approx(np.prod(np.linalg.svd(J, compute_uv=False)))
+    for near in CollisionModel(plant).near_pairs(q, 1.0):
+        assert near.gradient.shape == (joints,)
+    solved, error = solve_newton(plant, plant.forward(q), np.clip(q + 0.05, plant.lower, plant.upper))
+    assert error < 1e-9
+    np.testing.assert_allclose(plant.forward(solved)[:3, 3], plant.forward(q)[:3, 3], atol=1e-9)
+
+
+def test_five_joints_follow_position_and_axis_and_six_the_whole_pose(write_arm: Write) -> None:
+    """A turn about the axis that five joints cannot turn about does not count; six joints have to follow it."""
+    for joints in (5, 6):
+        plant = ArmPlant(load_robot(write_arm(joints=joints), "tool"))
+        q = plant.robot.rest_q + 0.2 * np.linspace(-1.0, 1.0, joints)
+        X = plant.forward(q)
+        J = plant.jacobian(q)
+        missing = np.linalg.svd(J)[0][:, -1]
+        turned = X.copy()
+        turned[:3, :3] = rotation_exp(0.2 * missing[:3] / np.linalg.norm(missing[:3])) @ X[:3, :3]
+        settled = settle_free_turns(plant, turned[None])[0]
+        if joints == 5:
+            np.testing.assert_allclose(settled, X, atol=1e-6)
+        else:
+            np.testing.assert_array_equal(settled, turned)
+
+
+def test_a_floating_joint_is_fixed_and_fingers_open_either_way(write_arm: Write) -> None:
+    mimic = FINGERS.replace('lower="0" upper="0.03"', 'lower="-0.03" upper="0"', 1)
+    robot = load_robot(write_arm(types={1: "floating"}, more=mimic), "tool")
+    assert len(robot.joints) == 6
+    assert any("floating joints are taken as fixed" in remark for remark in robot.remarks)
+    assert robot.finger_signs == (-1.0, 1.0)
+    plant = ArmPlant(robot)
+    moved = plant.positions(robot.rest_q[None], [0.04])[0]
+    assert sorted(set(moved.tolist()) - set(robot.rest_q.tolist())) == [-0.02, 0.02]
+
+
+def test_of_a_body_with_two_arms_the_joints_beyond_the_shoulder_are_the_arm(write_arm: Write) -> None:
+    """A torso turns below the arm, and another arm of five joints begins where this one does."""
+    other = "".join(
+        f'<link name="o{i}"/><joint name="k{i}" type="revolute"><parent link="{"l2" if i == 1 else f"o{i - 1}"}"/>'
+        f'<child link="o{i}"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+        for i in range(1, 6)
+    )
+    robot = load_robot(write_arm(more=other), "tool")
+    assert robot.joints == ("j3", "j4", "j5", "j6", "j7")
+    assert any("are fixed: j1, j2" in remark for remark in robot.remarks)
+
+
+def test_without_shapes_for_contact_visual_meshes_give_them(write_arm: Write, tmp_path: Path) -> None:
+    urdf = write_arm(visuals={3: '<mesh filename="ball.obj"/>', 4: '<mesh filename="gone.obj"/>'})
+    urdf.write_text(re.sub(r"<collision>.*?</collision>", "", urdf.read_text()))
+    bare = load_robot(urdf, "tool")
+    assert any("no link has a shape for contact: collisions are not checked" in remark for remark in bare.remarks)
+    assert not CollisionModel(ArmPlant(bare)).movable
+    trimesh.creation.icosphere(radius=0.05).export(urdf.parent / "ball.obj")
+    robot = load_robot(urdf, "tool")
+    assert any("convex hulls of the visual meshes of 1 links" in remark for remark in robot.remarks)
+    assert [solid.link for solid in CollisionModel(ArmPlant(robot)).movable] == ["l3"]
 
 
 def test_unreadable_visuals_are_skipped_with_a_remark(write_arm: Write) -> None:
@@ -217,13 +310,16 @@ def test_unreadable_visuals_are_skipped_with_a_remark(write_arm: Write) -> None:
             InputError,
             "joint j2 has the jerk limit 0",
         ),
-        ({"joints": 6}, "tool", InputError, "6 revolute joints between l0 and tool .*j6.*, expected 7"),
-        ({"joints": 8}, "tool", InputError, "8 revolute joints"),
-        ({}, "l0", InputError, "0 revolute joints between l0 and l0 .none."),
-        ({"types": {2: "prismatic"}}, "tool", InputError, "joint j2 between l0 and tool is prismatic"),
-        ({"types": {2: "floating"}}, "tool", InputError, "joint j2 is floating, expected revolute"),
-        ({"limits": {4: ""}}, "tool", InputError, "joint j4 has no positive velocity limit"),
-        ({"limits": {4: '<limit lower="0" upper="1" velocity="0"/>'}}, "tool", InputError, "joint j4 has no positive"),
+        ({"joints": 4}, "tool", InputError, "4 moving joints between l0 and tool .*j4.*, expected 5 to 7"),
+        ({"joints": 8}, "tool", InputError, "8 moving joints"),
+        ({}, "l0", InputError, "0 moving joints between l0 and l0 .none."),
+        ({"types": {2: "planar"}}, "tool", InputError, "joint j2 is planar, expected revolute"),
+        (
+            {"limits": {4: '<limit lower="0" upper="1" velocity="-2"/>'}},
+            "tool",
+            InputError,
+            "j4 has the velocity",
+        ),
         ({"limits": {4: '<limit lower="1" upper="0" velocity="1"/>'}}, "tool", InputError, "joint j4 has the limits 1"),
         (
             {"limits": {4: '<limit lower="a" upper="1" velocity="1"/>'}},

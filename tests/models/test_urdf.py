@@ -86,17 +86,6 @@ def test_elements_that_drake_does_not_support_are_dropped(write_arm: Write) -> N
     assert [d.attrib for d in root.iter("dynamics")] == [{"damping": "2"}]
 
 
-def test_continuous_joints_become_revolute_with_half_a_turn_each_way(write_arm: Write) -> None:
-    root = read_urdf(convert_urdf(write_arm(types={3: "continuous"}), "small"))
-    joint = root.find("joint[@name='j3']")
-    assert joint is not None
-    limit = joint.find("limit")
-    assert limit is not None
-    assert joint.get("type") == "revolute"
-    assert [float(limit.get(side, "nan")) for side in ("lower", "upper")] == [-np.pi, np.pi]
-    assert limit.get("velocity") == "1.5"
-
-
 @pytest.mark.parametrize("content", [None, b"no mesh at all", b"solid a\nendsolid a"])
 def test_unreadable_visual_is_left_out_and_unreadable_collision_refused(
     write_arm: Write, tmp_path: Path, content: bytes | None
