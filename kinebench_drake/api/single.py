@@ -220,10 +220,12 @@ def audit_trajectory(
     config = _config(AuditConfig, **options)
     robot = config.robot_options()
     rate_hz = config.rate_hz
-    _warn(*robot.load().remarks)
+    loaded = robot.load()
+    _warn(*loaded.remarks)
     if isinstance(reading, str | PathLike):
         reading = Path(reading)
-    choice = TrajectoryOptions(rate_hz=rate_hz, reading=None if reading is None else Reading.parse(reading))
+    parsed = None if reading is None else Reading.parse(reading)
+    choice = TrajectoryOptions(rate_hz=rate_hz, reading=parsed, joints=loaded.joints)
     if isinstance(trajectory, GripperTrack):
         _refuse_with(
             "a track", t_s=t_s, rate_hz=rate_hz, tracked=tracked, finger_width_m=finger_width_m,
@@ -240,7 +242,8 @@ def audit_trajectory(
         values = np.asarray(trajectory)
         if values.ndim not in (2, 3):
             raise InputError(
-                f"the trajectory has shape {values.shape}, expected joint angles (T, 7) in radians or poses (T, 4, 4)"
+                f"the trajectory has shape {values.shape}, expected joint angles (T, {len(loaded.joints)}) in radians "
+                "or poses (T, 4, 4)"
             )
         recording = RawTrajectory(
             t_s=None if t_s is None else np.asarray(t_s),
@@ -249,6 +252,7 @@ def audit_trajectory(
             tracked=None if tracked is None else np.asarray(tracked),
             finger_width_m=None if finger_width_m is None else np.asarray(finger_width_m),
             columns="q" if values.ndim == 2 else "base_from_tcp",
+            joints=len(loaded.joints),
         )
         checked = check(recording, rate_hz)
     _warn(*checked.warnings)

@@ -10,6 +10,7 @@ import numpy as np
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.path import grid_postures, limit_excess, within_limits
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.postures import ClosedFormSolver, posture_solver
 from kinebench_drake.metrics.noise import rotation_steps
 from kinebench_drake.segments import evenly, finite_rows
 
@@ -82,15 +83,18 @@ def misfit(
     vertical = upward < -_VERTICAL
     step = float(np.median(np.diff(t_s)))
     slow = step > _LONG_STEP_S or (step > _SLOW_STEP_S and 0.01 < moved < _SLOW_M_S * duration)
-    cost = (
-        UPWARD * (upward > _UP).mean()
-        + BELOW * (height < -_BELOW_M).mean()
-        + CLOSE * (distance < _CLOSE_M).mean()
-        + TURNING * min(turned / duration / _TURN_RAD_S, 1.0)
-        + TILTED * (1.0 - vertical.mean())
-        + SLOW * slow
-    )
-    if q is None and upward[0] < -_UPRIGHT and _FLANGE_M[0] < height.min() < _FLANGE_M[1]:
+    is_franka = isinstance(posture_solver(plant), ClosedFormSolver)
+    cost = TURNING * min(turned / duration / _TURN_RAD_S, 1.0) + SLOW * slow
+    if is_franka:  # how Franka's arms are used
+        cost = (
+            UPWARD * (upward > _UP).mean()
+            + BELOW * (height < -_BELOW_M).mean()
+            + CLOSE * (distance < _CLOSE_M).mean()
+            + TURNING * min(turned / duration / _TURN_RAD_S, 1.0)
+            + TILTED * (1.0 - vertical.mean())
+            + SLOW * slow
+        )
+    if is_franka and q is None and upward[0] < -_UPRIGHT and _FLANGE_M[0] < height.min() < _FLANGE_M[1]:
         yaw = np.arctan2(X[0, 1, 0], X[0, 0, 0]) % (np.pi / 2)
         cost += FLANGE * (abs(yaw - np.pi / 4) < _SQUARE_RAD)
     if cost >= enough:
@@ -101,5 +105,6 @@ def misfit(
         cost += OUTSIDE * ((excess > _FAR_RAD).mean(axis=0).max() > MOSTLY)
     else:
         reached = np.array([len(own) > 0 for own in within_limits(plant, grid_postures(plant, X[frames], 36))])
-    reached &= ~((distance < _BASE_M) & (X[:, 2, 3] < _BASE_HEIGHT_M))[frames]
+    if is_franka:
+        reached &= ~((distance < _BASE_M) & (X[:, 2, 3] < _BASE_HEIGHT_M))[frames]
     return float(cost + UNREACHED * (1.0 - reached.mean()))

@@ -8,7 +8,6 @@ import numpy as np
 
 from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.geometry import Array
-from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.results.details import RateCheck, read_details
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
@@ -74,7 +73,7 @@ class LimitPeak:
 def joint_limits(row: SampleRow) -> RowLimits:
     """Read the limits in a row's `details`."""
     limits = read_details(row).limits
-    joints = limits.joints if len(limits.joints) == N_JOINTS else [f"joint {k + 1}" for k in range(N_JOINTS)]
+    joints = limits.joints or tuple(f"joint {k + 1}" for k in range(7))
     position = limits.position
     rates = {name: getattr(limits, name) for name in RATES}
     return RowLimits(

@@ -19,7 +19,7 @@ _TRACK |= {name: name for name in ("tracked", "confidence", "finger_width_m")}
 """Arrays of the gripper track, and the fields of `GripperTrack` that hold them."""
 _OWN = (*_TRACK, "q", "ik_ok", "status")
 """Arrays other than curves."""
-_SEVEN = ("q", "velocity", "acceleration", "jerk", "torque")
+_OF_JOINTS = ("q", "velocity", "acceleration", "jerk", "torque")
 _SINGLE = (
     *("ik_ok", "manipulability", "manipulability_weighted", "joint_margin", "self_distance_m", "table_distance_m"),
     *("ik_position_error_m", "ik_rotation_error_rad"),
@@ -33,13 +33,13 @@ class TrackFile:
 
     track: GripperTrack
     q: Array
-    """(T, 7) joint angles [rad]; NaN where unknown."""
+    """(T, J) joint angles [rad]; NaN where unknown."""
     ik_ok: NDArray[np.bool_]
     """(T,) True where the pose is reached within limits."""
     status: tuple[IkStatus, ...] | None
     """(T,) outcome of inverse kinematics; None in a file without joint angles."""
     curves: Mapping[str, Array]
-    """Curves along the track by name, such as `manipulability` (T,) or `torque` (T, 7); NaN where unknown."""
+    """Curves along the track by name, such as `manipulability` (T,) or `torque` (T, J); NaN where unknown."""
 
 
 def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curves: Mapping[str, Array]) -> None:
@@ -51,10 +51,10 @@ def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curv
     Args:
         path: the file, `tracks/ID.npz`.
         track: poses in the camera frame and in the base frame.
-        curves: further arrays (T,) or (T, 7), NaN where unknown, by name.
+        curves: further arrays (T,) or (T, J), NaN where unknown, by name.
 
     Raises:
-        InputError: a curve is not (T,) or (T, 7).
+        InputError: a curve is not (T,) or (T, J).
         SetupError: writing failed.
     """
     n = len(track.t_s)
@@ -73,8 +73,9 @@ def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curv
         }
     for name in sorted(curves.keys() - set(_OWN)):
         shape = np.shape(curves[name])
-        if shape not in ((n,), (n, 7)):
-            raise InputError(f"curve {name!r} has shape {shape}, expected {(n,)} or {(n, 7)}")
+        of_joints = arrays["q"].shape
+        if shape not in ((n,), of_joints):
+            raise InputError(f"curve {name!r} has shape {shape}, expected {(n,)} or {of_joints}")
         arrays[name] = np.asarray(curves[name], dtype=np.float64)
     write_atomically(path, pack_arrays(arrays))
 
@@ -96,7 +97,9 @@ def read_track(path: Path) -> TrackFile:
             n = len(track.t_s)
             curves = {name: _numbers(a, name) for name in sorted(set(a.files) - set(_OWN))}
             for name, array in {"q": own["q"], "ik_ok": own["ik_ok"], **curves}.items():
-                shapes: list[tuple[int, ...]] = [(n,)] * (name not in _SEVEN) + [(n, 7)] * (name not in _SINGLE)
+                of_joints = (n, *own["q"].shape[1:2])
+                shapes: list[tuple[int, ...]] = [(n,)] * (name not in _OF_JOINTS)
+                shapes += [of_joints] * (name not in _SINGLE)
                 if array.shape not in shapes:
                     raise InputError(f"{name} has shape {array.shape}, expected {' or '.join(map(str, shapes))}")
             status = a["status"] if "status" in a.files else None

@@ -1,7 +1,7 @@
 """`audit`: read a trajectory, judge it, write its file."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -86,11 +86,13 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
     warnings: list[str] = []
     choice = config.trajectory_options()
     labels = {"model": config.model, "task": config.task}
+    robot = config.robot_options().load()
+    choice = replace(choice, joints=robot.joints)
     samples = find_trajectories(config.source, choice, out=config.out, warnings=warnings, **labels)
     for warning in warnings:
         observer.warn(warning)
     samples = config.name_models(samples)
-    for remark in config.robot_options().load().remarks:
+    for remark in robot.remarks:
         observer.warn(f"{Path(config.robot).name}: {remark}")
     summary = close_gate(config, run_samples(samples, TrajectoryEvaluator(config=config), observer))
     by_text = _warnings(summary.rows)
@@ -113,7 +115,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
 
     def evaluate(self, sample: TrajectorySample, tools: Resources, row: SampleRow) -> SampleRow:
         """Read, judge, write; without a verdict where it is doubtful how the numbers are to be read."""
-        choice = self.config.trajectory_options()
+        choice = replace(self.config.trajectory_options(), joints=tools.plant.robot.joints)
         doubt = self._doubt(sample, choice, tools)
         try:
             trajectory = tools.undo_turns(read_trajectory(sample, choice))

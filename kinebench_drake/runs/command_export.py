@@ -1,6 +1,6 @@
 """`export-commands`: a trajectory's file as commands for the robot."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,11 +35,12 @@ def export_commands(
         raise UsageError(
             f"$rate_hz is {rate_hz:g}, expected commands per second from {RATES_HZ[0]:g} to {RATES_HZ[1]:g}"
         )
+    tools = load_resources(Resources, options)
+    choice = replace(choice, joints=tools.plant.robot.joints)
     samples = find_trajectories(source, choice)
     if len(samples) > 1:
         names = ", ".join(sample.id for sample in samples[:2])
         raise UsageError(f"{source}: holds {len(samples)} trajectories ({names}, ...), expected one: name its file")
-    tools = load_resources(Resources, options)
     result = judge_trajectory(tools, read_trajectory(samples[0], choice))
     tube_m = as_number(as_object(result.details["trajopt"])["tube_limit_m"]) or 0.0
     plant = tools.plant
@@ -52,11 +53,11 @@ def export_commands(
         with open_npz(out) as archive:
             q = np.asarray(archive["q"])
     else:
-        head = ",".join(["t_s", *(f"q{j}_rad" for j in range(1, 8)), "finger_width_m"])
+        head = ",".join(["t_s", *(f"q{j}_rad" for j in range(1, commands.q.shape[1] + 1)), "finger_width_m"])
         rows = np.column_stack([t_s, commands.q, commands.finger_width_m])
         lines = (",".join("" if np.isnan(x) else repr(x) for x in row) for row in rows.tolist())
         write_atomically(out, "\n".join([head, *lines, ""]).encode())
-        q = np.loadtxt(out, delimiter=",", skiprows=1, usecols=range(1, 8))
+        q = np.loadtxt(out, delimiter=",", skiprows=1, usecols=range(1, commands.q.shape[1] + 1))
     used = (f"{name} {float(ratio.max()):.3f}" for name, ratio in limit_ratios(plant, q, rate_hz))
     return [
         f"{t_s[-1]:.3f} s from rest to rest, {commands.slower:.3g} times as slow as the track of "

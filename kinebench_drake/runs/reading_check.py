@@ -30,16 +30,15 @@ from kinebench_drake.formats.trajectories.columns import (
 from kinebench_drake.formats.trajectories.reading import (
     ANGLES,
     JOINTS,
-    LAYOUTS,
     LENGTHS,
     TIMES,
     Reading,
     TrajectoryOptions,
     frame_of,
+    layout_sizes,
 )
 from kinebench_drake.formats.trajectories.source import apply_reading, find_trajectories, open_table
 from kinebench_drake.formats.trajectories.trajectory import (
-    N_JOINTS,
     ColumnTable,
     Trajectory,
     TrajectoryFormat,
@@ -125,17 +124,19 @@ def alternatives(reading: Reading, table: ColumnTable) -> Iterator[Alternative]:
     """Yield the alternatives that a complete reading has: layouts of as many numbers, other units and frames."""
     is_pose = reading.layout != JOINTS
     columns = reading.columns or ()
-    is_whole = not is_pose and len(columns) == 1 and table.size(columns) == N_JOINTS + 2
+    is_whole = not is_pose and len(columns) == 1 and table.size(columns) == len(table.joints) + 2
     if is_whole and _has_fingers_first(table, columns):
         [name] = columns
         parts = {"columns": (f"{name}[2:9]",), "fingers": (f"{name}[0:2]",)}
         yield Alternative(name="two finger joints before those of the arm", cost=2.0 * _OFFSET_COST, change=parts)
-    sizes = set(LAYOUTS[reading.layout or JOINTS])
+    sizes = set(layout_sizes(reading.layout or JOINTS, len(table.joints)))
     for alternative in ALTERNATIVES:
         layout = alternative.change.get("layout")
         if "offset" in alternative.change if is_pose else not alternative.change.keys() & _OF_JOINTS:
             continue
-        if isinstance(layout, str) and (layout == reading.layout or not sizes & set(LAYOUTS[layout])):
+        if isinstance(layout, str) and (
+            layout == reading.layout or not sizes & set(layout_sizes(layout, len(table.joints)))
+        ):
             continue
         if any(getattr(reading, key) == value for key, value in alternative.change.items()):
             continue
@@ -274,7 +275,7 @@ def assess_readings(
         is_franka: False for another arm than Franka's, whose default postures and whose flange are others.
     """
     with ExitStack() as stack:
-        tables = [(sample, stack.enter_context(open_table(sample))) for sample in samples]
+        tables = [(sample, stack.enter_context(open_table(sample, choice.joints))) for sample in samples]
 
         wanted = choice.reading or Reading()
         named = complete(tables[0][1], wanted)
@@ -384,8 +385,8 @@ def _other_joints(tools: Resources, trajectory: Trajectory, misfit: float) -> st
         return None
     values = rows[evenly(len(rows), 16), :, None]
     inside = ((values >= tools.plant.lower) & (values <= tools.plant.upper)).mean(axis=0)  # by column and joint
-    orders = np.array(list(permutations(range(N_JOINTS))))
-    likely = np.argsort(-np.prod(inside[orders, np.arange(N_JOINTS)], axis=1), kind="stable")[:_ORDERS]
+    orders = np.array(list(permutations(range(q.shape[1]))))
+    likely = np.argsort(-np.prod(inside[orders, np.arange(q.shape[1])], axis=1), kind="stable")[:_ORDERS]
     costs = [tools.misfit(replace(trajectory, q=q[:, order]), misfit) for order in orders[likely]]
     if misfit - min(costs) < _ORDER_GAIN:
         return None
@@ -408,7 +409,7 @@ def doubt_frame(
         judge: judges another reading.
         is_franka: False for another arm than Franka's, whose flange is another one.
     """
-    with open_table(sample) as table:
+    with open_table(sample, choice.joints) as table:
         named = complete(table, choice.reading or Reading())
         if result.feasible is None or named.layout == JOINTS or _is_documented(sample, table, named):
             return None
@@ -540,9 +541,9 @@ def assess_path(source: Path, options: RobotOptions, make_resources: ResourcesFa
         UsageError: there is no trajectory, or it cannot be read.
         SetupError: the robot's files are missing.
     """
-    choice = TrajectoryOptions()
-    sample = find_trajectories(source, choice)[0]
     tools = load_resources(make_resources, options)
+    choice = TrajectoryOptions(joints=tools.plant.robot.joints)
+    sample = find_trajectories(source, choice)[0]
     samples = sample.alike or (sample,)
     try:
         assessment = assess_readings(tools, samples, choice, thorough=True, is_franka=options.is_named)
@@ -561,10 +562,13 @@ def assess_path(source: Path, options: RobotOptions, make_resources: ResourcesFa
 
 def _propose_joints(tools: Resources, samples: tuple[TrajectorySample, ...]) -> Assessment | None:
     """Return the seven consecutive numbers that fit the robot best as joint angles; None if none fit."""
-    with open_table(samples[0]) as table:
+    joints = tools.plant.robot.joints
+    with open_table(samples[0], joints) as table:
         readings = list_joint_rows(table)
         rates_hz = [_ANY_RATE_HZ if complete(table, reading).time is None else None for reading in readings]
-    choices = [TrajectoryOptions(reading=r, rate_hz=rate) for r, rate in zip(readings, rates_hz, strict=True)]
+    choices = [
+        TrajectoryOptions(reading=r, rate_hz=rate, joints=joints) for r, rate in zip(readings, rates_hz, strict=True)
+    ]
     assessed = [assess_readings(tools, samples, choice, thorough=True) for choice in choices]
     # an offset could be added to any columns
     best = [one.by_names if "offset" in one.best.changed else one.best for one in assessed if one is not None]

@@ -116,7 +116,8 @@ def list_lerobot_trajectories(folder: Path, name: str, choice: TrajectoryOptions
     """
     dataset = LeRobotDataset.open(folder)
     # Reported once, not per episode.
-    complete(ColumnTable(columns=_columns(dataset), load=_no_values, t_s=np.empty(0)), choice.reading or Reading())
+    table = ColumnTable(columns=_columns(dataset), load=_no_values, t_s=np.empty(0), joints=choice.joints)
+    complete(table, choice.reading or Reading())
     samples = [
         TrajectorySample(
             id=f"{folder.resolve().name}-{episode.name}",

@@ -7,9 +7,7 @@ from kinebench_drake.errors import InputError, UnmeasurableError, count_noun
 from kinebench_drake.formats.trajectories.recorder import unwrap
 from kinebench_drake.formats.trajectories.times import check_times, fill_gaps, undo_jitter
 from kinebench_drake.formats.trajectories.trajectory import (
-    JOINT_SIZES,
     MAX_FRAMES,
-    N_JOINTS,
     RawTrajectory,
     Trajectory,
     first_index,
@@ -50,9 +48,9 @@ def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
     values = require_numbers(name, array)
     if values.shape[:1] == (0,):
         raise UnmeasurableError(f"holds no frame, a path needs at least {MIN_FRAMES}")
-    if values.shape[1:] not in ([(4, 4)] if raw.q is None else [(n,) for n in JOINT_SIZES]):
-        expected = "(T, 4, 4)" if raw.q is None else f"(T, {N_JOINTS}) in radians"
-        turned = ", transposed?" if raw.q is not None and values.shape[:1] == (N_JOINTS,) else ""
+    if values.shape[1:] not in ([(4, 4)] if raw.q is None else [(raw.joints + k,) for k in range(3)]):
+        expected = "(T, 4, 4)" if raw.q is None else f"(T, {raw.joints}) in radians"
+        turned = ", transposed?" if raw.q is not None and values.shape[:1] == (raw.joints,) else ""
         raise InputError(f"{name} has shape {values.shape}, expected {expected}{turned}")
     n = len(values)
     if n > MAX_FRAMES:
@@ -75,7 +73,7 @@ def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
         raise UnmeasurableError(f"has {n} frame, a path needs at least {MIN_FRAMES}")
     q = X_BG = None
     if raw.q is not None:
-        q, fingers = _joints(values, tracked, warnings)
+        q, fingers = _joints(values, raw.joints, tracked, warnings)
         path = q
         width = fingers if width is None else width
     else:
@@ -115,14 +113,14 @@ def _tracked(array: NDArray[np.generic] | None, n: int) -> NDArray[np.bool_]:
     return array.astype(bool)
 
 
-def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> tuple[Array, Array | None]:
-    """Return the arm angles (T, 7) and the finger gap (T,) [m] if two finger joints follow them."""
+def _joints(values: Array, joints: int, tracked: NDArray[np.bool_], warnings: list[str]) -> tuple[Array, Array | None]:
+    """Return the arm angles (T, joints) and the finger gap (T,) [m] if two finger joints follow them."""
     columns = values.shape[1]
-    q = np.where(tracked[:, None], values[:, :N_JOINTS], np.nan)
-    if columns > N_JOINTS:
-        warnings.append(f"q has {columns} columns: the first {N_JOINTS} are used as the arm's joints")
+    q = np.where(tracked[:, None], values[:, :joints], np.nan)
+    if columns > joints:
+        warnings.append(f"q has {columns} columns: the first {joints} are used as the arm's joints")
     # the two finger joints of the Panda, each half of the gap
-    fingers = values[:, N_JOINTS:].sum(axis=1) if columns == N_JOINTS + 2 else None
+    fingers = values[:, joints:].sum(axis=1) if columns == joints + 2 else None
     broken = tracked & ~np.isfinite(q).all(axis=1)
     if (k := first_index(broken)) is not None:
         value = "NaN" if np.isnan(q[k]).any() else "infinity"

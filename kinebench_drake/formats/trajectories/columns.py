@@ -2,11 +2,11 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.formats.trajectories.reading import JOINTS, LAYOUTS, Reading, nanoseconds_beside
-from kinebench_drake.formats.trajectories.trajectory import JOINT_SIZES, N_JOINTS, ColumnTable, NumberColumn, reference
+from kinebench_drake.formats.trajectories.reading import JOINTS, LAYOUTS, Reading, layout_sizes, nanoseconds_beside
+from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, ColumnTable, NumberColumn, reference
 
 _NUMBERED = re.compile(
     r"(?P<arm>|.*[^a-z0-9])(?:joint|j|q|(?:joint[_. ]?)?(?:positions?|pos|angles?))[_. ]?(?:pos|position|angle)?"
@@ -28,8 +28,10 @@ _OTHER_WORDS = {
 """Words in names of numbers that are neither angles nor poses, or not absolute ones."""
 _TOOLS = {"tcp": "tcp", "flange": "flange"}
 """Words in names of poses that say whose they are."""
-_CONTRACT = re.compile(r"(?:left_|right_)?(?:base_from_tcp|q|q[1-7]_rad|[xyz]_m|q[wxyz])")
+_CONTRACT = re.compile(r"(?:left_|right_)?(?:base_from_tcp|q|q[1-9]_rad|[xyz]_m|q[wxyz])")
 """Names with a documented unit and frame."""
+_UNTELLING = {"joint", "pos", "position", "angle", "main", "follower", "k", "state", "observation", "qpos"}
+_SIDES = ("left", "right")
 _JOINT_WORDS = {"joint", "joints"}
 _ANGLE_WORDS = {"pos", "position", "positions", "state", "states", "angle", "angles"}
 _TOOL_WORDS = {"ee", "eef", "tcp", "pose", "poses", "hand", "gripper", "cartesian", "base"}
@@ -98,7 +100,7 @@ def is_documented(table: ColumnTable, reading: Reading) -> bool:
     return (
         (reading.time in (None, "t_s") or nanoseconds_beside(table, str(reading.time)) is not None)
         and all(_CONTRACT.fullmatch(name) for name in columns)
-        and table.size(columns) in (N_JOINTS, 16)
+        and table.size(columns) in (len(table.joints), 7, 16)
     )
 
 
@@ -120,13 +122,17 @@ def _named(table: ColumnTable, wanted: Reading) -> Reading:
         return wanted
     rest = [column for column in table.columns if column.name in (wanted.columns or ())]
     for find in (_find_joints, _find_pose):
-        reading = find(ColumnTable(columns=tuple(rest), load=table.load), wanted.change(columns=None))
-        if reading is not None and table.size(reading.columns or ()) <= size <= 9:
+        reading = find(replace(table, columns=tuple(rest)), wanted.change(columns=None))
+        if reading is not None and table.size(reading.columns or ()) <= size <= len(table.joints) + 2:
             return reading.change(columns=wanted.columns if len(rest) == 1 and size == 16 else reading.columns)
-    fitting = [layout for layout, sizes in LAYOUTS.items() if size in sizes and "euler" not in layout]
-    certain = {16: "matrix_rows", 8: JOINTS}.get(size)
+    fitting = [name for name in LAYOUTS if size in layout_sizes(name, len(table.joints)) and "euler" not in name]
+    certain = {16: "matrix_rows", 8: JOINTS}.get(size) if len(table.joints) == N_JOINTS or size == 16 else None
     if certain is None:
-        expected = f'"layout": one of {", ".join(fitting)}' if fitting else "7 joint angles, or x y z with a rotation"
+        expected = (
+            f'"layout": one of {", ".join(fitting)}'
+            if fitting
+            else f"{len(table.joints)} joint angles, or x y z, rotation"
+        )
         raise InputError(f"{', '.join(wanted.columns or ())}: {size} numbers per frame, expected {expected}")
     return wanted.change(layout=certain)
 
@@ -136,29 +142,31 @@ def _by_names(table: ColumnTable, wanted: Reading) -> Reading:
         reading = find(table, wanted)
         if reading is not None:
             return reading
-    arms = sorted({arm.strip("_./ ") for group in _groups(table, wanted) for arm in _arms(group)})
+    count = {5: "five", 6: "six", 7: "seven"}[len(table.joints)]
+    arms = sorted({arm.strip("_./ ") for group in _groups(table, wanted) for arm in _arms(group, len(table.joints))})
     telling = [arm for arm in arms if _find_joints(table, wanted.change(arm=arm))]
     if len(arms) > 1 and telling:
         several = f'{len(arms)} arms ({", ".join(arms)}): $reading FILE with {{"arm": "{telling[0]}"}} chooses one'
-        raise InputError(f"no column is certain to hold the seven joint angles of one arm; there are {several}")
+        raise InputError(f"no column is certain to hold the {count} joint angles of one arm; there are {several}")
     raise InputError(
-        f"no column is known to hold seven joint angles or a pose; found {table.describe()}; name some in $reading FILE"
-        + PROPOSAL
+        f"no column is known to hold {count} joint angles or a pose; found {table.describe()}; name some in "
+        f"$reading FILE{PROPOSAL}"
     )
 
 
 def list_joint_rows(table: ColumnTable) -> list[Reading]:
-    """Return the readings of seven consecutive numbers as joint angles, of those whose names say nothing else."""
+    """Return the readings of consecutive numbers, one a joint, as angles, of those whose names say nothing else."""
     arrays = [
         _Group(places=tuple((column, k) for k in range(column.size)), names=("",) * column.size)
         for column in _arrays(table, Reading())
     ]
     readings = []
+    joints = len(table.joints)
     for group in (*_groups(table, Reading()), *arrays):
         is_free = [not (_TIME.fullmatch(n.lower()) or _OTHER_WORDS & {*_words(n)} or _role(n)) for n in group.names]
-        for first in range(len(is_free) - N_JOINTS + 1):
-            if all(is_free[first : first + N_JOINTS]):
-                columns = group.references(range(first, first + N_JOINTS))
+        for first in range(len(is_free) - joints + 1):
+            if all(is_free[first : first + joints]):
+                columns = group.references(range(first, first + joints))
                 readings.append(Reading(columns=columns, layout=JOINTS))
     return readings[:_MOST_ROWS]
 
@@ -181,29 +189,55 @@ def _allowed(table: ColumnTable) -> list[NumberColumn]:
     return [c for c in table.columns if c.name not in table.optional and not _OTHER_WORDS & set(_words(c.name))]
 
 
-def _arms(group: _Group) -> dict[str, dict[int, int]]:
-    """Return the numbered joints of each arm of a group that has seven of them: index by number."""
+def _arms(group: _Group, joints: int) -> dict[str, dict[int, int]]:
+    """Return the numbered joints of each arm of a group that has as many as joints: index by number."""
     arms: dict[str, dict[int, int]] = {}
     for k, name in enumerate(group.names):
         match = _NUMBERED.fullmatch(name.lower())
         if match and not _FINGER.fullmatch(name.lower()) and not _OTHER_WORDS & set(_words(match["arm"])):
             arms.setdefault(match["arm"], {})[int(match["number"])] = k
-    return {arm: n for arm, n in arms.items() if len(n) == N_JOINTS and max(n) - min(n) == N_JOINTS - 1}
+    return {arm: n for arm, n in arms.items() if len(n) == joints and max(n) - min(n) == joints - 1}
+
+
+def _by_joint_names(group: _Group, joints: Sequence[str]) -> list[int] | None:
+    """Return the indices of the numbers that are called as the joints; None if one is missing or ambiguous.
+
+    Joints that have numbers alone are found by their order.
+    """
+    if all(re.search(r"\d", joint) for joint in joints):
+        return None
+    wanted = [_telling(joint) for joint in joints]
+    names = [_telling(name) for name in group.names]
+    sides = {*_SIDES} & {word for joint in wanted for word in joint}
+    if not sides:  # of one arm, or of the one that the user names
+        names = [tuple(word for word in name if word not in _SIDES) for name in names]
+    places = [[k for k, name in enumerate(names) if name == joint] for joint in wanted]
+    return [own[0] for own in places] if all(len(own) == 1 for own in places) else None
+
+
+def _telling(name: str) -> tuple[str, ...]:
+    """Return the words of a joint's name that tell it from others."""
+    words = _words(re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name))
+    return tuple(word for word in words if word not in _UNTELLING and word not in _UNITS)
 
 
 def _find_joints(table: ColumnTable, wanted: Reading) -> Reading | None:
-    """Find seven joint angles: consecutively numbered names of one arm, or an array with such a name."""
+    """Find joint angles: the names of the joints, consecutively numbered ones, or an array with such a name."""
     if wanted.layout not in (None, JOINTS):
         return None
+    joints = len(table.joints)
     for group in _groups(table, wanted):
-        arms = list(_arms(group).values())
+        named = _by_joint_names(group, table.joints)
+        if named is not None:
+            return wanted.change(columns=group.references(named), layout=JOINTS)
+        arms = list(_arms(group, joints).values())
         if len(arms) == 1:
             chosen = group.references([k for _, k in sorted(arms[0].items())])
             return wanted.change(columns=chosen, layout=JOINTS)
     for column in _arrays(table, wanted):
         words = set(_words(re.split(r"[./]", column.name)[-1]))
         is_joints = words & {"qpos", "q"} or (words & _JOINT_WORDS and words & _ANGLE_WORDS)
-        if column.size in JOINT_SIZES and (is_joints or (wanted.layout and column.size == N_JOINTS)):
+        if column.size - joints in LAYOUTS[JOINTS] and (is_joints or (wanted.layout and column.size == joints)):
             return wanted.change(columns=(column.name,), layout=JOINTS)
     return None
 
@@ -215,7 +249,7 @@ def _find_pose(table: ColumnTable, wanted: Reading) -> Reading | None:
 
     def found_as(columns: tuple[str, ...], layout: str | None) -> Reading | None:
         layout = wanted.layout or layout
-        fits = layout is not None and table.size(columns) in LAYOUTS[layout]
+        fits = layout is not None and table.size(columns) in layout_sizes(layout, len(table.joints))
         return wanted.change(columns=columns, layout=layout) if fits else None
 
     for group in _groups(table, wanted):
@@ -241,7 +275,7 @@ def _find_pose(table: ColumnTable, wanted: Reading) -> Reading | None:
         if column.size == 16 and (words & _TOOL_WORDS or _BY_COLUMNS.fullmatch(column.name.lower())):
             by_columns = _BY_COLUMNS.fullmatch(column.name.lower())
             return found_as((column.name,), "matrix_columns" if by_columns else "matrix_rows")
-        if column.size == N_JOINTS and words & _TOOL_WORDS:
+        if column.size == 7 and words & _TOOL_WORDS:
             return found_as((column.name,), "quaternion_xyzw" if "xyzw" in words else "quaternion_wxyz")
     for column in arrays:
         if column.size == 3 and set(_words(column.name)) & {"pos", "position", "positions", "xyz"}:

@@ -16,23 +16,41 @@ from kinebench_drake.errors import InputError, UsageError, count_noun, suggestio
 from kinebench_drake.formats.samples import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.formats.trajectories.check import REPAIRABLE, ROUNDING, repairable_deviation
 from kinebench_drake.formats.trajectories.recorder import find_empty, find_held
-from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, ColumnTable, RawTrajectory, first_index
+from kinebench_drake.formats.trajectories.trajectory import (
+    N_JOINTS,
+    PANDA_JOINTS,
+    ColumnTable,
+    RawTrajectory,
+    first_index,
+)
 from kinebench_drake.geometry import Array, from_quaternion, make_pose, rotation_z
-from kinebench_drake.io.jsonl import Json, read_object
+from kinebench_drake.io.jsonl import Json, as_number, as_object, read_object
+from kinebench_drake.track import MAX_WIDTH_M
 
 JOINTS = "joints"
 EULER = tuple(f"euler_{''.join(order)}" for axes in ("xyz", "XYZ") for order in permutations(axes))
 """Angles about fixed axes (small letters) or moving ones (capitals), in the order of the numbers."""
 LAYOUTS: Mapping[str, tuple[int, ...]] = {
-    JOINTS: (7, 8, 9),
+    JOINTS: (0, 1, 2),
     **dict.fromkeys(("quaternion_wxyz", "quaternion_xyzw"), (7,)),
     **dict.fromkeys(("rotation_vector", *EULER), (6,)),
     **dict.fromkeys(("matrix_rows", "matrix_columns"), (16, 12)),
     **dict.fromkeys(("rotation_6d_rows", "rotation_6d_columns"), (9,)),
 }
-"""Possible counts of numbers per frame by layout: joint angles, or x y z and a rotation, or a 4x4 matrix."""
+"""Possible counts of numbers per frame by layout: x y z and a rotation, or a 4x4 matrix; beside those of the joints."""
+
+
+def layout_sizes(layout: str, joints: int) -> tuple[int, ...]:
+    """Return the possible counts of numbers per frame of a layout, for an arm with so many joints."""
+    sizes = LAYOUTS[layout]
+    return tuple(joints + size for size in sizes) if layout == JOINTS else sizes
+
+
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ANGLES = {"rad": 1.0, "deg": float(np.pi / 180.0)}
+PERCENT = "percent"
+"""Unit of angles from -100 to 100 at the ends of a joint's range, as LeRobot records small arms."""
+_COUNTS = 4095.0  # of a turn, in LeRobot's calibration of servos
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 _HAND_FROM_TCP = make_pose(np.eye(3), [0.0, 0.0, 0.1034])
@@ -48,7 +66,7 @@ Source: F_T_EE of the Franka Hand, in Franka's documentation of the robot's end 
 DEFAULTS: Mapping[str, Json] = {
     **{"length": "m", "angle": "rad", "time_unit": "s", "tool": "tcp", "deltas": False},
     "base_from_world": [0.0, 0.0, 0.0],
-    "offset": [0.0] * N_JOINTS,
+    "offset": None,
 }
 """Values of keys that are not set and do not follow from names."""
 START_Q = np.pi * np.array([0.0, 1 / 8, 0.0, -5 / 8, 0.0, 3 / 4, 1 / 4])
@@ -75,12 +93,18 @@ class Reading(BaseModel):
     arm: str | None = None
     """Text in the names of one arm's numbers, where there are several arms."""
     length: Literal["m", "cm", "mm"] | None = None
-    angle: Literal["rad", "deg"] | None = None
+    angle: Literal["rad", "deg", "percent"] | None = None
+    signs: _Numbers | None = None
+    """1 or -1 for each joint: the direction in which it is counted."""
+    calibration: _Numbers | None = None
+    """Half of each joint's range [rad], to which 100 percent are; or the calibration file of LeRobot."""
     time: str | None = None
     """Column of the times."""
     time_unit: Literal["s", "ms", "us", "ns"] | None = None
     width: str | None = None
     """Number with the gap between the finger pads, in the unit of `length`."""
+    width_range: Annotated[_Numbers, Field(min_length=2, max_length=2)] | None = None
+    """Values of that number where the gripper is closed and where it is open, such as 0 and 100."""
     fingers: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] | None = None
     """Finger joints, each half of that gap."""
     base_from_world: _Numbers | None = None
@@ -89,10 +113,10 @@ class Reading(BaseModel):
     """Frame whose poses are recorded, or the pose of the TCP in it: x y z [m] and a quaternion wxyz."""
     deltas: bool | None = None
     """True for changes from frame to frame, added up from `start`."""
-    start: _Numbers | None = None
-    """Start of deltas: 7 joint angles [rad], or x y z [m] with a quaternion wxyz."""
-    offset: Annotated[_Numbers, Field(min_length=N_JOINTS, max_length=N_JOINTS)] | None = None
-    """Posture from which joint angles are stored as offsets: 7 angles [rad]."""
+    start: tuple[_Number, ...] | str | None = None
+    """Start of deltas: joint angles [rad], or x y z [m] with a quaternion wxyz; or the column with the first state."""
+    offset: _Numbers | None = None
+    """Posture from which joint angles are stored as offsets: joint angles [rad]."""
     robot: str | None = None
     """Robot that the numbers are of, where the file names another one."""
 
@@ -103,7 +127,7 @@ class Reading(BaseModel):
             raise ValueError(f"is {layout!r}{suggestion(layout, LAYOUTS)}, expected {', '.join(LAYOUTS)}")
         return layout
 
-    @field_validator("base_from_world", "tool", "start")
+    @field_validator("base_from_world", "tool")
     @classmethod
     def _check_pose(cls, value: object) -> object:
         if isinstance(value, tuple) and len(value) not in (3, 7):
@@ -120,7 +144,11 @@ class Reading(BaseModel):
         name = f"$reading {source}" if isinstance(source, Path) else "$reading"
         try:
             data = read_object(source) if isinstance(source, Path) else source
-            return cls.model_validate(data.get("reading", data))
+            keys = data.get("reading", data)
+            if isinstance(keys, Mapping) and isinstance(keys.get("calibration"), str):
+                folder = source.parent if isinstance(source, Path) else Path()
+                keys = {**keys, "calibration": _read_calibration(folder / str(keys["calibration"]))}
+            return cls.model_validate(keys)
         except FileNotFoundError:
             raise UsageError(f"{name}: there is no such file") from None
         except InputError as error:
@@ -154,13 +182,15 @@ class Reading(BaseModel):
         """Return the trajectory that a table holds; `columns` and `layout` are set.
 
         Raises:
-            InputError: the columns do not fit the layout, or hold no rotations.
+            InputError: the columns do not fit the layout, or hold no rotations, or a key has not as many numbers as
+                the arm has joints.
         """
         names = self.columns or ()
         layout = self.layout or JOINTS
+        joints = len(table.joints)
         values = table.numbers(names)
-        if values.shape[1] not in LAYOUTS[layout]:
-            expected = " or ".join(map(str, LAYOUTS[layout]))
+        if values.shape[1] not in layout_sizes(layout, joints):
+            expected = " or ".join(map(str, layout_sizes(layout, joints)))
             raise InputError(f"{', '.join(names)}: {values.shape[1]} numbers per frame, {layout} has {expected}")
         tracked = table.array("tracked")
         repairs: tuple[str, ...] = ()
@@ -177,15 +207,23 @@ class Reading(BaseModel):
         gap = None
         if self.width is not None:
             gap = length * table.numbers([self.width])[:, 0]
+            if self.width_range is not None:
+                closed, opened = self.width_range
+                gap = MAX_WIDTH_M * (table.numbers([self.width])[:, 0] - closed) / (opened - closed)
         elif self.fingers:
             gap = np.asarray(2.0 * length * table.numbers(self.fingers).mean(axis=1))
         q = X_BG = None
         if layout == JOINTS:
-            if gap is None and values.shape[1] == N_JOINTS + 2:
-                gap = values[:, N_JOINTS:].sum(axis=1)
-            q = values[:, :N_JOINTS] * ANGLES[self.angle or "rad"] + np.array(self.offset or 0.0)
+            if gap is None and values.shape[1] == joints + 2:
+                gap = values[:, joints:].sum(axis=1)
+            scale = self._scale(joints)
+            q = values[:, :joints] * scale + np.array(self.offset or 0.0)
             if self.deltas:
-                q = np.cumsum(np.vstack([self.start or tuple(START_Q), q[:-1]]), axis=0)[: len(q)]
+                start = self.start or (tuple(START_Q) if joints == N_JOINTS else ())
+                if isinstance(start, str):
+                    start = tuple(table.numbers([start])[0, :joints] * scale + np.array(self.offset or 0.0))
+                self._check_length("start", start, joints)
+                q = np.cumsum(np.vstack([start, q[:-1]]), axis=0)[: len(q)]
         else:
             X_WT, repaired = self._poses(values, layout)
             repairs += repaired
@@ -195,12 +233,30 @@ class Reading(BaseModel):
             t_s=self._times(table),
             X_BG=X_BG,
             q=q,
+            joints=joints,
             tracked=tracked,
             finger_width_m=gap,
             repeats=repeats,
             columns=self.describe(),
             warnings=repairs,
         )
+
+    def _scale(self, joints: int) -> Array:
+        """Return the factors (joints,) from recorded numbers to angles [rad]."""
+        for key in ("offset", "signs", "calibration"):
+            self._check_length(key, getattr(self, key), joints)
+        if self.angle == PERCENT and self.calibration is None:
+            raise InputError(
+                "angles in percent of a joint's range need its calibration: $reading FILE with "
+                '{"angle": "percent", "calibration": FILE}, the file of LeRobot\'s calibrate'
+            )
+        unit = np.array(self.calibration) / 100.0 if self.angle == PERCENT else ANGLES[self.angle or "rad"]
+        return np.asarray(unit * np.array(self.signs or (1.0,) * joints))
+
+    @staticmethod
+    def _check_length(key: str, numbers: tuple[float, ...] | None, joints: int) -> None:
+        if numbers is not None and len(numbers) != joints:
+            raise InputError(f"$reading: {key} has {len(numbers)} numbers, expected one for each of {joints} joints")
 
     def _poses(self, values: Array, layout: str) -> tuple[Array, tuple[str, ...]]:
         """Return the recorded poses (T, 4, 4) [m], and messages about repairs."""
@@ -217,7 +273,7 @@ class Reading(BaseModel):
         if not self.deltas:
             return X, repairs
         # Assumed start of deltas: joint angles [rad], and x y z [m] with a quaternion wxyz.
-        total = [_pose(self.start or (0.5, 0.0, 0.3, 0.0, 1.0, 0.0, 0.0))]
+        total = [_pose(self.start if isinstance(self.start, tuple) else (0.5, 0.0, 0.3, 0.0, 1.0, 0.0, 0.0))]
         for step in X[:-1]:  # rotations about the axes of the base, as positions
             total.append(make_pose(step[:3, :3] @ total[-1][:3, :3], step[:3, 3] + total[-1][:3, 3]))
         return np.stack(total[: len(X)]), repairs
@@ -304,6 +360,22 @@ def _check_norms(quaternions: Array, frames: NDArray[np.intp], repairable: float
     return (message,) if repaired else ()
 
 
+def _read_calibration(path: Path) -> list[float]:
+    """Return half of each joint's range [rad] from a calibration file of LeRobot, the gripper left out.
+
+    Raises:
+        InputError: the file is no such calibration.
+    """
+    halves = []
+    for name, about in read_object(path).items():
+        ends = [as_number(as_object(about).get(key)) for key in ("range_min", "range_max")]
+        if None in ends:
+            raise InputError(f"calibration {path.name}: {name} has no range_min and range_max, as LeRobot writes them")
+        if "gripper" not in name:
+            halves.append(np.pi * (float(ends[1] or 0.0) - float(ends[0] or 0.0)) / _COUNTS)
+    return halves
+
+
 def _pose(numbers: tuple[float, ...] | None) -> Array:
     """Return the pose (4, 4) of x y z [m], and a quaternion wxyz if there is one."""
     if numbers is None:
@@ -336,6 +408,8 @@ class TrajectoryOptions:
     """Frames per second, overriding the times of the file [Hz]."""
     reading: Reading | None = None
     """How to read the file; None: by its names, and no verdict where these are doubtful."""
+    joints: tuple[str, ...] = PANDA_JOINTS
+    """Names of the arm's joints, base first."""
 
     def __post_init__(self) -> None:
         """Check the rate.

@@ -32,6 +32,7 @@ from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOpti
 from kinebench_drake.formats.trajectories.trajectory import (
     MAX_BYTES,
     MAX_FRAMES,
+    PANDA_JOINTS,
     ColumnTable,
     NumberColumn,
     Trajectory,
@@ -65,7 +66,7 @@ def open_npz_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
 
 @contextmanager
 def open_npy_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
-    """Open an npy file: joint angles (T, 7) to (T, 9), or poses (T, 4, 4)."""
+    """Open an npy file: joint angles (T, J) to (T, J + 2), or poses (T, 4, 4)."""
     array = read_npy(sample.path, MAX_BYTES)
     name = "base_from_tcp" if array.ndim == 3 else "q"
     yield ColumnTable(columns=_columns({name: array.shape}), load={name: array}.__getitem__)
@@ -251,7 +252,7 @@ def find_trajectories(
 
 def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Trajectory:
     """Read and check one trajectory."""
-    with open_table(sample) as table:
+    with open_table(sample, choice.joints) as table:
         reading = complete(table, choice.reading or Reading())
         trajectory = apply_reading(sample, table, reading, choice.rate_hz)
         actions = table.actions(reading.columns or ())
@@ -261,8 +262,8 @@ def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Traj
 
 
 @contextmanager
-def open_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
-    """Open the numbers of a trajectory.
+def open_table(sample: TrajectorySample, joints: tuple[str, ...] = PANDA_JOINTS) -> Iterator[ColumnTable]:
+    """Open the numbers of a trajectory of an arm with `joints`.
 
     Raises:
         InputError: it cannot be read.
@@ -275,7 +276,7 @@ def open_table(sample: TrajectorySample) -> Iterator[ColumnTable]:
     with _TABLES[sample.format](sample) as table:
         t_s = None if table.t_s is None else table.t_s[rows]
         # read several times by several readings
-        yield replace(table, load=cache(lambda name: table.load(name)[rows]), t_s=t_s)
+        yield replace(table, load=cache(lambda name: table.load(name)[rows]), t_s=t_s, joints=joints)
 
 
 def apply_reading(sample: TrajectorySample, table: ColumnTable, reading: Reading, rate_hz: float | None) -> Trajectory:

@@ -14,9 +14,8 @@ from kinebench_drake.formats.samples import Sample
 from kinebench_drake.geometry import Array
 
 N_JOINTS = 7
-"""Joints of the arm."""
-JOINT_SIZES = range(N_JOINTS, N_JOINTS + 3)
-"""Numbers of joint angles in a file: those of the arm, followed by up to two fingers."""
+"""Joints of the Panda."""
+PANDA_JOINTS = tuple(f"joint_{k}" for k in range(1, N_JOINTS + 1))
 MAX_FRAMES = 100_000
 """Greatest number of frames; over an hour at 25 Hz."""
 MAX_BYTES = 2**28
@@ -34,7 +33,9 @@ class RawTrajectory:
     X_BG: NDArray[np.generic] | None = None
     """(T, 4, 4) poses of the TCP in the robot base frame [m]; None if there is `q`."""
     q: NDArray[np.generic] | None = None
-    """(T, 7) joint angles [rad], (T, 8) or (T, 9) with finger joints after them; None if there is `X_BG`."""
+    """(T, J) joint angles [rad], (T, J + 1) or (T, J + 2) with finger joints after them; None if there is `X_BG`."""
+    joints: int = N_JOINTS
+    """Number J of joints of the arm."""
     tracked: NDArray[np.generic] | None = None
     """(T,) True for valid frames; None for all."""
     finger_width_m: NDArray[np.generic] | None = None
@@ -56,7 +57,7 @@ class Trajectory:
     X_BG: Array | None
     """(T, 4, 4) rigid poses of the TCP in the robot base frame [m]; NaN where not tracked."""
     q: Array | None
-    """(T, 7) joint angles [rad], judged unchanged; NaN where not tracked."""
+    """(T, J) joint angles [rad], judged unchanged; NaN where not tracked."""
     tracked: NDArray[np.bool_]
     """(T,) True for valid frames."""
     finger_width_m: Array
@@ -77,7 +78,13 @@ class Trajectory:
             InputError: a shape is wrong, or not exactly one of `X_BG` and `q` is set.
         """
         n = len(self.t_s)
-        shapes = {"t_s": (n,), "X_BG": (n, 4, 4), "q": (n, N_JOINTS), "tracked": (n,), "finger_width_m": (n,)}
+        shapes = {
+            "t_s": (n,),
+            "X_BG": (n, 4, 4),
+            "q": (n,) if self.q is None else (n, *self.q.shape[1:2]),
+            "tracked": (n,),
+            "finger_width_m": (n,),
+        }
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value is not None and value.shape != shape:
@@ -188,6 +195,8 @@ class ColumnTable:
     """Frames per second by the metadata [Hz]."""
     optional: frozenset[str] = frozenset()
     """Columns that are read only if the user names them: commands, velocities, computed values."""
+    joints: tuple[str, ...] = PANDA_JOINTS
+    """Names of the joints of the arm, base first."""
 
     def numbers(self, references: Sequence[str]) -> Array:
         """Return the numbers (T, n) that `references` name, in their order.
