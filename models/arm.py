@@ -14,7 +14,17 @@ import numpy as np
 from kinebench_drake.errors import InputError, SetupError, UsageError, suggestion
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import absence, cache_folder
-from kinebench_drake.models.joint_limits import LimitTable, read_limit_table, read_limits, read_number, write_limits
+from kinebench_drake.io.jsonl import Json
+from kinebench_drake.models.joint_limits import (
+    LIMIT_KINDS,
+    JointLimits,
+    LimitTable,
+    read_limit_table,
+    read_limits,
+    read_number,
+    write_limits,
+)
+from kinebench_drake.models.named_arm import named_arms
 from kinebench_drake.models.obstacles import PREFIX, SCHEME, read_obstacles
 from kinebench_drake.models.panda.description import (
     ARM_JOINTS,
@@ -43,7 +53,7 @@ from kinebench_drake.models.urdf import (
 PANDA = "panda"
 FR3 = "fr3"
 ROBOTS: Mapping[str, LimitTable] = MappingProxyType({PANDA: PANDA_LIMITS, FR3: FR3_LIMITS})
-"""Robots by name, with their published limits; both on mani_skill's URDF of the Panda."""
+"""Franka's arms, with their published limits; both on mani_skill's URDF of the Panda."""
 MAX_PAYLOAD_KG = 50.0
 """Greatest payload [kg]; more is taken for another unit."""
 
@@ -86,7 +96,7 @@ def load_robot(
     else the middle of the limits.
 
     Args:
-        robot: name in `ROBOTS`, or path of a URDF.
+        robot: name in `named_arms`, or path of a URDF.
         tool: link of the URDF, or pose "[LINK:]x,y,z,qw,qx,qy,qz" [m] of G in a link (of a named robot its flange);
             None: panda_hand_tcp of a named robot.
         limits: JSON file of limits that replace those of the robot (`LimitTable`).
@@ -94,14 +104,18 @@ def load_robot(
         obstacles: JSON file of bodies that the arm must not touch (`obstacles.Obstacle`).
         package_path: folder in which packages of package:// URIs are looked up first.
     """
+    named = named_arms().get(str(robot))
     source, table = _find(robot)
     root = read_urdf(source)
     remarks = [REMARK] if robot == FR3 else []
     remarks += _fix_base(root)
-    tcp = _place_tool(LinkTree(source.name, root), root, tool, is_named=table is not None)
+    default = (named.tool or TCP_LINK) if named else None
+    tcp = _place_tool(LinkTree(source.name, root), root, tool, default)
     if robot == FR3:
         make_fr3(root)
     joints = LinkTree(source.name, root).arm(tcp)
+    if named and named.package:
+        _drop_assumed(joints)
     for stated in (table, None if limits is None else read_limit_table(limits)):
         if stated is not None:
             write_limits(joints, stated)
@@ -128,7 +142,7 @@ def load_robot(
             f"states no limits of {' and '.join(unstated)}, which are not checked: feasible means feasible as far as "
             "checked; $limits states them"
         )
-    return replace(loaded, remarks=tuple(remarks))
+    return replace(loaded, remarks=tuple(remarks), columns=named.columns if named else ())
 
 
 def _fix_base(root: ElementTree.Element) -> list[str]:
@@ -181,20 +195,57 @@ def load_converted(id: str) -> Robot | None:
     return _read(urdf) if urdf.is_file() else None
 
 
+def arm_limits(name: str) -> tuple[tuple[str, ...], JointLimits]:
+    """Return the joints of an arm by name, and their limits, without a conversion of its meshes."""
+    arm = named_arms()[name]
+    source, table = _find(name)
+    root = read_urdf(source)
+    joints = LinkTree(source.name, root).arm(arm.tool or TCP_LINK)
+    if arm.package:
+        _drop_assumed(joints)
+    write_limits(joints, table or LimitTable())
+    return tuple(str(joint.get("name")) for joint in joints), read_limits(source.name, joints)
+
+
+def list_arms() -> list[dict[str, Json]]:
+    """Return what is known of each arm by name: joints, checked and unchecked limits, sources; or how to install it."""
+    listed: list[dict[str, Json]] = []
+    for name, arm in named_arms().items():
+        table = ROBOTS.get(name, arm.limits)
+        about: dict[str, Json] = {"name": name, "title": arm.title, "source": table.source or arm.source}
+        try:
+            joints, limits = arm_limits(name)
+            checked = [kind for kind in LIMIT_KINDS if kind not in limits.unstated]
+            about |= {"joints": [*joints], "checked": [*checked], "unchecked": [*limits.unstated]}
+        except SetupError as error:
+            about["missing"] = str(error)
+        listed.append(about)
+    return listed
+
+
+def _drop_assumed(joints: Sequence[ElementTree.Element]) -> None:
+    """Remove limits of acceleration and jerk, which descriptions of arms by name state without a source."""
+    for limit in (limit for joint in joints for limit in joint.findall("limit")):
+        for key in [key for key in limit.attrib if key.endswith(("acceleration", "jerk"))]:
+            del limit.attrib[key]
+
+
 def _find(robot: str | Path) -> tuple[Path, LimitTable | None]:
     """Return the URDF of a robot, and the limits published for one with a name."""
     if str(robot) in ROBOTS:
         return source_urdf(), ROBOTS[str(robot)]
+    if arm := named_arms().get(str(robot)):
+        return arm.path(), arm.limits
     path = Path(robot)
     if not path.is_file():
-        raise UsageError(f"$robot {robot}: {absence(path)}, expected {', '.join(ROBOTS)} or the path of a URDF")
+        raise UsageError(f"$robot {robot}: {absence(path)}, expected {', '.join(named_arms())} or the path of a URDF")
     return path, None
 
 
-def _place_tool(tree: LinkTree, root: ElementTree.Element, tool: str | None, *, is_named: bool) -> str:
-    """Return the link whose frame is G; a pose becomes a new link."""
-    if tool is None and is_named:
-        return TCP_LINK
+def _place_tool(tree: LinkTree, root: ElementTree.Element, tool: str | None, default: str | None) -> str:
+    """Return the link whose frame is G, by default that of an arm with a name; a pose becomes a new link."""
+    if tool is None and default:
+        return default
     links = f"the links of {tree.file} are {', '.join(tree.links)}"
     if tool is None:
         raise UsageError(f"$tool names no TCP frame of $robot {tree.file}; {links}")
@@ -203,7 +254,7 @@ def _place_tool(tree: LinkTree, root: ElementTree.Element, tool: str | None, *, 
         if tool not in tree.elements:
             raise UsageError(f"$tool: {tree.file} has no link {tool!r}{suggestion(tool, tree.links)}; {links}")
         return tool
-    parent = pose[1] or (FLANGE_LINK if is_named else "")
+    parent = pose[1] or (FLANGE_LINK if default == TCP_LINK else default or "")
     if parent not in tree.elements:
         raise UsageError(f"$tool {tool}: expected LINK:x,y,z,qw,qx,qy,qz, the pose of the TCP in a link; {links}")
     try:

@@ -20,6 +20,8 @@ JOINT_COUNTS = range(5, 8)
 """Numbers of joints of supported arms."""
 UNLIMITED = 100.0 * math.pi
 """Limit of joints without one: fifty turns [rad], or as many metres."""
+LIMIT_KINDS = ("position", "velocity", "acceleration", "jerk", "torque")
+"""Kinds of limits of joints that are checked where they are stated."""
 _Values = Annotated[tuple[float, ...], Field(min_length=JOINT_COUNTS[0], max_length=JOINT_COUNTS[-1])]
 
 

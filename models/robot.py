@@ -40,8 +40,15 @@ class Robot:
 
     Links connected by a joint, or without an arm joint between them, such as two fingers, are always excluded. None:
     also those in contact with every joint in the middle of its range."""
+    columns: tuple[str, ...] = ()
+    """Names of the joints in data sets; empty if they are those of `joints`."""
     remarks: tuple[str, ...] = ()
     """Assumptions and omissions when the robot was read, one line each, for the user."""
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Names of the joints in data sets, base first."""
+        return self.columns or self.joints
 
     @property
     def id(self) -> str:

@@ -225,7 +225,7 @@ def audit_trajectory(
     if isinstance(reading, str | PathLike):
         reading = Path(reading)
     parsed = None if reading is None else Reading.parse(reading)
-    choice = TrajectoryOptions(rate_hz=rate_hz, reading=parsed, joints=loaded.joints)
+    choice = TrajectoryOptions(rate_hz=rate_hz, reading=parsed, joints=loaded.column_names)
     if isinstance(trajectory, GripperTrack):
         _refuse_with(
             "a track", t_s=t_s, rate_hz=rate_hz, tracked=tracked, finger_width_m=finger_width_m,

@@ -1,4 +1,4 @@
-"""`kinebench-drake calibrate` and `kinebench-drake cameras`."""
+"""`kinebench-drake calibrate`, `cameras` and `robots`."""
 
 from pathlib import Path
 from typing import Any
@@ -120,3 +120,24 @@ def cameras(as_json: bool) -> None:
         click.echo(dump([camera.to_json() for camera in listed], indent=1), nl=False)
     else:
         click.echo("\n".join(camera.describe() for camera in listed))
+
+
+@click.command(epilog="\b\nExample:\n  kinebench-drake robots --json")
+@click.option("--json", "as_json", is_flag=True, help="One object an arm.")
+def robots(as_json: bool) -> None:
+    """List the arms that `audit --robot NAME` takes by name, and those that data sets choose by their robot_type.
+
+    Each with its joints, the limits that are checked and those that are not, and the sources of description and limits.
+    Arms whose package is not installed are listed with the command that installs it.
+    """
+    from kinebench_drake.io.jsonl import dump
+    from kinebench_drake.models.arm import list_arms
+
+    listed = list_arms()
+    if as_json:
+        click.echo(dump([*listed], indent=1), nl=False)
+        return
+    for arm in listed:
+        names = {key: kinds for key in ("checked", "unchecked") if isinstance(kinds := arm.get(key), list)}
+        limits = (f"{key} limits: {', '.join(map(str, kinds)) or 'none'}" for key, kinds in names.items())
+        click.echo(f"{arm['name']}: {arm['title']}; {'; '.join(limits) or arm['missing']}; {arm['source']}")

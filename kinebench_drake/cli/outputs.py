@@ -137,14 +137,15 @@ def view(out: Path, id: str, opened: bool) -> None:
 def _plant(out: Path) -> "ArmPlant":
     """Load the robot that a run was judged with."""
     from kinebench_drake.kinematics.plant import ArmPlant
-    from kinebench_drake.models.arm import PANDA, ROBOTS, load_converted, load_robot
+    from kinebench_drake.models.arm import PANDA, load_converted, load_robot
+    from kinebench_drake.models.named_arm import named_arms
     from kinebench_drake.report.run import read_results
 
     config = as_object(read_results(out).get("config"))
     id = config.get("robot_id")
     name = str(config.get("robot") or PANDA)
     robot = load_converted(str(id))
-    if robot is None and name in ROBOTS:
+    if robot is None and name in named_arms():
         robot = load_robot(name)
         robot = robot if id in (None, robot.id) else None
     if robot is None:

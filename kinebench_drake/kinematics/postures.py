@@ -208,7 +208,8 @@ def spread_postures(plant: ArmPlant, count: int) -> Array:
     Angles are within half a turn of the middle of their limits.
     """
     middle = 0.5 * (plant.lower + plant.upper)
-    low, high = np.maximum(plant.lower, middle - np.pi), np.minimum(plant.upper, middle + np.pi)
+    low = np.maximum(plant.lower, middle - np.pi)
+    high = np.minimum(plant.upper, middle + np.pi)
     spread = np.random.default_rng(0).uniform(low, high, size=(count - 1, len(low)))
     return np.vstack([plant.robot.rest_q, spread])
 

@@ -9,22 +9,25 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from kinebench_drake.errors import InputError, name_options
+from kinebench_drake.formats.hub import find_source
+from kinebench_drake.formats.lerobot.dataset import INFO
 from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectorySample
-from kinebench_drake.io.jsonl import Json
+from kinebench_drake.io.jsonl import Json, as_type, read_object
 from kinebench_drake.metrics.recording_faults import find_action_lag, fingerprint, idle_ends
 from kinebench_drake.models.arm import PANDA, ROBOTS
+from kinebench_drake.models.named_arm import find_arm
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.config import RunConfig, RunKind, SourceConfig
+from kinebench_drake.runs.config import AUTO, RunConfig, RunKind, SourceConfig
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluator, judge_row
 from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.option import Option
 from kinebench_drake.runs.reading_check import assess_readings, doubt_frame, doubt_robot
-from kinebench_drake.runs.resources import Resources, load_resources
+from kinebench_drake.runs.resources import Resources, RobotOptions, load_resources
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.track import GripperTrack
 
@@ -60,6 +63,15 @@ class AuditConfig(SourceConfig):
         Path | None, Option("Folder of the packages that package:// URIs of the URDF name.", metavar="DIR")
     ] = None
 
+    robot: Annotated[
+        str,
+        Option(
+            "Arm to judge by: a name of `kinebench-drake robots`, or the URDF or MJCF of another one.  [default: by "
+            "the robot_type of the data set, else panda]",
+            metavar="NAME|FILE",
+        ),
+    ] = AUTO
+
     def __post_init__(self) -> None:
         """Convert and check the options.
 
@@ -69,6 +81,19 @@ class AuditConfig(SourceConfig):
         SourceConfig.__post_init__(self)
         self.trajectory_options()
 
+    def robot_options(self) -> RobotOptions:
+        """Return robot and table; the robot is the Panda where neither the user nor a data set names one."""
+        options = SourceConfig.robot_options(self)
+        return replace(options, robot=PANDA) if options.robot == AUTO else options
+
+    def choose_robot(self) -> "AuditConfig":
+        """Return the options with the arm that the data set names, unless the user does."""
+        if self.robot != AUTO:
+            return self
+        info = find_source(self.source) / INFO
+        named = as_type(read_object(info).get("robot_type"), str) if info.is_file() else None
+        return replace(self, robot=find_arm(named or "") or PANDA)
+
     def trajectory_options(self) -> TrajectoryOptions:
         """Return the options of reading trajectories."""
         return TrajectoryOptions(
@@ -77,24 +102,27 @@ class AuditConfig(SourceConfig):
 
     def to_json(self) -> dict[str, Json]:
         """Serialize into `config` of results.json; paths by their last name only."""
-        return {**RunConfig.to_json(self), "robot": self.robot if self.robot in ROBOTS else Path(self.robot).name}
+        return {**RunConfig.to_json(self), "robot": Path(self.robot).name}
 
 
 def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None) -> RunSummary:
     """Judge every trajectory of `config.source` and fill the output folder."""
     observer = observer or NullRunObserver()
+    config = config.choose_robot()
     warnings: list[str] = []
     choice = config.trajectory_options()
     labels = {"model": config.model, "task": config.task}
     robot = config.robot_options().load()
-    choice = replace(choice, joints=robot.joints)
+    choice = replace(choice, joints=robot.column_names)
     samples = find_trajectories(config.source, choice, out=config.out, warnings=warnings, **labels)
     for warning in warnings:
         observer.warn(warning)
     samples = config.name_models(samples)
     for remark in robot.remarks:
         observer.warn(f"{Path(config.robot).name}: {remark}")
-    summary = close_gate(config, run_samples(samples, TrajectoryEvaluator(config=config), observer))
+    summary = close_gate(
+        config, run_samples(samples, TrajectoryEvaluator(config=config, joints=robot.column_names), observer)
+    )
     by_text = _warnings(summary.rows)
     for text, ids in list(by_text.items())[:_MOST_WARNINGS]:
         observer.warn(f"{ids[0]}: {text}" + (f" (and {len(ids) - 1} more)" if ids[1:] else ""))
@@ -108,6 +136,8 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
     """Evaluation of the trajectories of one run."""
 
     config: AuditConfig
+    joints: tuple[str, ...]
+    """Names of the arm's joints in data sets."""
 
     def setup(self) -> Resources:
         """Load the robot."""
@@ -115,7 +145,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
 
     def evaluate(self, sample: TrajectorySample, tools: Resources, row: SampleRow) -> SampleRow:
         """Read, judge, write; without a verdict where it is doubtful how the numbers are to be read."""
-        choice = replace(self.config.trajectory_options(), joints=tools.plant.robot.joints)
+        choice = replace(self.config.trajectory_options(), joints=self.joints)
         doubt = self._doubt(sample, choice, tools)
         try:
             trajectory = tools.undo_turns(read_trajectory(sample, choice))
@@ -156,7 +186,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
 
     def _doubt(self, sample: TrajectorySample, choice: TrajectoryOptions, tools: Resources) -> str | None:
         """Return why the numbers have no verdict; None if there is no doubt how to read them."""
-        if self.config.robot == PANDA and (other := doubt_robot(sample, choice)):
+        if other := doubt_robot(sample, choice, self.config.robot):
             return other
         alike = sample.alike or (sample,)
         assessment = assess_readings(tools, alike, choice, is_franka=self.config.robot in ROBOTS)

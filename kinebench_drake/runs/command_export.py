@@ -36,7 +36,7 @@ def export_commands(
             f"$rate_hz is {rate_hz:g}, expected commands per second from {RATES_HZ[0]:g} to {RATES_HZ[1]:g}"
         )
     tools = load_resources(Resources, options)
-    choice = replace(choice, joints=tools.plant.robot.joints)
+    choice = replace(choice, joints=tools.plant.robot.column_names)
     samples = find_trajectories(source, choice)
     if len(samples) > 1:
         names = ", ".join(sample.id for sample in samples[:2])

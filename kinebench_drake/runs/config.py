@@ -172,7 +172,7 @@ class SourceConfig(RunConfig):
     ] = None
     robot: Annotated[
         str,
-        Option("Robot to judge by; of `audit` also the URDF of a seven-joint arm.", metavar=f"{'|'.join(ROBOTS)}|URDF"),
+        Option("Robot to judge by.", metavar="|".join(ROBOTS)),
     ] = PANDA
     limits: Annotated[
         Path | None, Option("JSON file of joint limits that replace the robot's (docs/kinematics.md).", metavar="FILE")

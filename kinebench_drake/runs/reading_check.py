@@ -46,6 +46,8 @@ from kinebench_drake.formats.trajectories.trajectory import (
 )
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.io.jsonl import Json
+from kinebench_drake.models.arm import FR3, PANDA
+from kinebench_drake.models.named_arm import find_arm, named_arms
 from kinebench_drake.runs.resources import Resources, ResourcesFactory, RobotOptions, load_resources
 from kinebench_drake.segments import evenly
 from kinebench_drake.track import MAX_WIDTH_M
@@ -523,14 +525,18 @@ def _variations(
             )
 
 
-def doubt_robot(sample: TrajectorySample, choice: TrajectoryOptions) -> str | None:
-    """Return why a trajectory is not judged as a Panda's: its file names another robot; None if it does not."""
+def doubt_robot(sample: TrajectorySample, choice: TrajectoryOptions, robot: str) -> str | None:
+    """Return why a trajectory is not judged as one of `robot`: its file names another one; None if it does not."""
     name = sample.robot
-    if name is None or not _OTHERS.search(name) or (choice.reading and choice.reading.robot):
+    if name is None or robot not in named_arms() or (choice.reading and choice.reading.robot):
+        return None
+    named = find_arm(name)
+    is_other = named not in (None, robot) or (named is None and bool(_OTHERS.search(name)))
+    if not is_other or (named, robot) == (PANDA, FR3):
         return None
     return (
-        f"the file names the robot {name}, not a Panda: name it by $robot, or insist by $reading FILE "
-        'with {"robot": "panda"}'
+        f"the file names the robot {name}, not {'a Panda' if robot == PANDA else robot}: name it by $robot, or insist "
+        f'by $reading FILE with {{"robot": "{robot}"}}'
     )
 
 
@@ -542,7 +548,7 @@ def assess_path(source: Path, options: RobotOptions, make_resources: ResourcesFa
         SetupError: the robot's files are missing.
     """
     tools = load_resources(make_resources, options)
-    choice = TrajectoryOptions(joints=tools.plant.robot.joints)
+    choice = TrajectoryOptions(joints=tools.plant.robot.column_names)
     sample = find_trajectories(source, choice)[0]
     samples = sample.alike or (sample,)
     try:
@@ -562,7 +568,7 @@ def assess_path(source: Path, options: RobotOptions, make_resources: ResourcesFa
 
 def _propose_joints(tools: Resources, samples: tuple[TrajectorySample, ...]) -> Assessment | None:
     """Return the seven consecutive numbers that fit the robot best as joint angles; None if none fit."""
-    joints = tools.plant.robot.joints
+    joints = tools.plant.robot.column_names
     with open_table(samples[0], joints) as table:
         readings = list_joint_rows(table)
         rates_hz = [_ANY_RATE_HZ if complete(table, reading).time is None else None for reading in readings]

@@ -11,7 +11,8 @@ import numpy as np
 from kinebench_drake.errors import InputError, KinebenchError, UsageError
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.io.jsonl import Json, as_number
-from kinebench_drake.models.arm import PANDA, ROBOTS
+from kinebench_drake.models.arm import PANDA
+from kinebench_drake.models.named_arm import named_arms
 from kinebench_drake.results.aggregate import RunStatistics
 from kinebench_drake.results.bundle import MANIFEST, Bundle
 from kinebench_drake.results.details import read_details
@@ -129,10 +130,10 @@ def _robot_options(run: RunMetadata) -> RobotOptions:
     name = str(run.config.get("robot") or PANDA)
     payload_kg, height_m = (as_number(run.config.get(key)) or 0.0 for key in ("payload_kg", "table_height_m"))
     options = RobotOptions(robot=name, payload_kg=payload_kg, table_height_m=height_m)
-    if name not in ROBOTS or options.load().id != run.config.get("robot_id"):
+    if name not in named_arms() or options.load().id != run.config.get("robot_id"):
         raise UsageError(
             f"judged with {name} and a tool, limits or obstacles that a bundle does not hold, or by another version; "
-            f"expected {' or '.join(ROBOTS)} as it is here"
+            f"expected {' or '.join(named_arms())} as it is here"
         )
     return options
 

@@ -184,7 +184,11 @@ def test_audit_trajectory_returns_the_metrics_that_the_audit_command_writes(prog
         (lambda at: audit_trajectory(np.full((4, 7), 90.0), rate_hz=10), InputError, "degrees"),
         (lambda at: audit_trajectory(at / "q.npz", t_s=[0, 1]), UsageError, "t_s: has no effect with a file"),
         (lambda at: audit_trajectory(np.zeros((4, 7)), rate_hz=10, reading={"tool": "tcp"}), UsageError, "reading"),
-        (lambda at: audit_trajectory(np.zeros((4, 7)), rate_hz=10, robot="ur5"), UsageError, "expected panda, fr3 or"),
+        (
+            lambda at: audit_trajectory(np.zeros((4, 7)), rate_hz=10, robot="ur5"),
+            UsageError,
+            "expected panda, fr3, xarm7, ",
+        ),
         (lambda at: score_videos(at / "videos", out=at / "out", engine="slurm"), UsageError, "'local', 'ray'"),
         (lambda at: score_videos(at / "videos", out=at / "out", shard="3"), UsageError, "I/N"),
     ],

@@ -187,7 +187,7 @@ def test_assumptions_about_a_urdf_are_warnings_and_stand_in_results_json(run, tm
     observer = RunRecorder()
     run(observer, robot=write_arm(types={3: "continuous"}), tool="tool")
     warned = [text.removeprefix("small.urdf: ") for text in observer.warnings if text.startswith("small.urdf: ")]
-    assert any("limited to -pi..pi: j3" in text for text in warned)
+    assert any("no limits of position: j3" in text for text in warned)
     assert any("no small.srdf beside the URDF" in text for text in warned)
     assert any("acceleration and jerk, which are not checked" in text for text in warned)
     stored = json.loads((tmp_path / "out" / "results.json").read_text())["config"]["robot_remarks"]
@@ -292,7 +292,7 @@ def test_an_unusable_urdf_or_limits_file_ends_the_audit_with_status_2_before_any
         (["in", "--out", "out", "--rate", "0"], "--rate is 0.0"),
         (["in", "--out", "out", "--rate", "x"], "--rate"),
         (["in", "--out", "out", "--reading", "no.json"], "--reading no.json: there is no such file"),
-        (["in", "--out", "out", "--robot", "xarm7"], "folder, expected panda, fr3 or the path of a URDF"),
+        (["in", "--out", "out", "--robot", "xarm8"], "folder, expected panda, fr3, xarm7, "),
         (
             ["in/good.npz", "in/far.npz", "-o", "out"],
             "audit reads one PATH, found 2 (good.npz, far.npz): name their folder",

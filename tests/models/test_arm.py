@@ -362,7 +362,7 @@ def test_an_unsupported_arm_is_refused_in_one_line(
 
 
 def test_a_missing_urdf_is_a_usage_error(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"no\.urdf: there is no such file.*expected panda, fr3 or the path of a URDF"):
+    with pytest.raises(UsageError, match=r"no\.urdf: there is no such file.*expected panda, fr3, xarm7, "):
         load_robot(tmp_path / "no.urdf", "tool")
 
 

@@ -87,8 +87,8 @@ def test_a_right_file_is_not_doubted(tmp_path, tools):
 @pytest.mark.parametrize(("name", "doubted"), [("xarm7", True), ("ur5", True), ("fr3", True), ("panda", False)])
 def test_another_robot_than_the_panda_is_named_unless_the_reading_insists(tmp_path, name, doubted):
     sample = TrajectorySample(id="a", path=tmp_path, video="a", format=TrajectoryFormat.LEROBOT, robot=name)
-    assert (doubt_robot(sample, TrajectoryOptions()) is not None) is doubted
-    assert doubt_robot(sample, TrajectoryOptions(reading=Reading(robot="panda"))) is None
+    assert (doubt_robot(sample, TrajectoryOptions(), "panda") is not None) is doubted
+    assert doubt_robot(sample, TrajectoryOptions(reading=Reading(robot="panda")), "panda") is None
 
 
 READY = np.array(POSTURES["Franka's ready posture"])

@@ -1,0 +1,62 @@
+"""Arms by name: where their descriptions are, which limits their makers publish, how data sets call them."""
+
+import importlib.util
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from types import MappingProxyType
+
+from pydantic import BaseModel, ConfigDict
+
+from kinebench_drake.errors import SetupError
+from kinebench_drake.models.joint_limits import LimitTable
+
+
+class NamedArm(BaseModel):
+    """One arm of arms.toml."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    title: str
+    types: tuple[str, ...]
+    """Values of `robot_type` of LeRobot data sets, in lower case."""
+    package: str = ""
+    """Package that contains the description; empty for the arms of `panda.description`."""
+    requirement: str = ""
+    """Name of the package for pip."""
+    file: str = ""
+    """Description in the package."""
+    tool: str = ""
+    """Link whose frame is G."""
+    columns: tuple[str, ...] = ()
+    """Names of the joints in data sets; empty if they are those of the description."""
+    source: str = ""
+    """Sources of description and limits."""
+    limits: LimitTable = LimitTable()
+    """Limits that replace those of the description."""
+
+    def path(self) -> Path:
+        """Return the description in the installed package, which is not imported.
+
+        Raises:
+            SetupError: it is not installed, or does not contain the description.
+        """
+        spec = importlib.util.find_spec(self.package)
+        folder = Path(next(iter(spec.submodule_search_locations))) if spec and spec.submodule_search_locations else None
+        if folder is None or not (folder / self.file).is_file():
+            raise SetupError(f"{self.title} is described in {self.requirement}; pip install '{self.requirement}'")
+        return folder / self.file
+
+
+@cache
+def named_arms() -> Mapping[str, NamedArm]:
+    """Return the arms by name."""
+    text = (files("kinebench_drake.models") / "arms.toml").read_text(encoding="utf-8")
+    return MappingProxyType({name: NamedArm.model_validate(arm) for name, arm in tomllib.loads(text).items()})
+
+
+def find_arm(robot_type: str) -> str | None:
+    """Return the name of the arm that a data set calls `robot_type`; None if there is none."""
+    return next((name for name, arm in named_arms().items() if robot_type.lower() in arm.types), None)
