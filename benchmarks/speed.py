@@ -1,6 +1,7 @@
 """Commands that measure accuracy, speed and memory: each writes a result file and compares it with the one before."""
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 import click
@@ -77,13 +78,25 @@ def ik(results: Path, repeats: int) -> None:
     _record("ik", results, figures(result), section(result))
 
 
-@click.command(epilog="\b\nExample:\n  python -m benchmarks audit")
+@click.command(
+    epilog="\b\nExamples:\n  python -m benchmarks audit\n  python -m benchmarks audit --robot so100 --robot ur5e"
+)
 @results_option
 @click.option("--tracks", type=COUNT, default=1000, show_default=True, help="Tracks without optimisation.")
-@click.option("--audits", type=COUNT, default=200, show_default=True, help="Whole audits.")
-def audit(results: Path, tracks: int, audits: int) -> None:
-    """Measure the speed of the audit in one process."""
+@click.option(
+    "--audits", type=COUNT, default=200, show_default=True, help="Whole audits; of each arm half with faults."
+)
+@click.option("--robot", "robots", multiple=True, help="Arm by name whose verdicts are compared with planted faults.")
+def audit(results: Path, tracks: int, audits: int, robots: tuple[str, ...]) -> None:
+    """Measure the speed of the audit in one process, or compare the verdicts on arms by name with planted faults."""
     one_thread()
+    if robots:
+        from benchmarks.arms import ArmWorker, arm_table
+        from benchmarks.trials import run_trials
+
+        trials = [(name, trial) for name in robots for trial in run_trials(partial(ArmWorker, name), audits, seed=0)]
+        click.echo("\n".join(arm_table(trials)))
+        return
     from benchmarks.audit import figures, measure, section
 
     result = measure(tracks=tracks, audits=audits, log=log)
