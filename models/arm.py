@@ -109,8 +109,8 @@ def load_robot(
     root = read_urdf(source)
     remarks = [REMARK] if robot == FR3 else []
     remarks += _fix_base(root)
-    default = (named.tool or TCP_LINK) if named else None
-    tcp = _place_tool(LinkTree(source.name, root), root, tool, default)
+    default = (named.tool or TCP_LINK) if named else ""
+    tcp = _place_tool(LinkTree(source.name, root), root, tool or default or None, default.partition(":")[0])
     if robot == FR3:
         make_fr3(root)
     joints = LinkTree(source.name, root).arm(tcp)
@@ -200,7 +200,7 @@ def arm_limits(name: str) -> tuple[tuple[str, ...], JointLimits]:
     arm = named_arms()[name]
     source, table = _find(name)
     root = read_urdf(source)
-    joints = LinkTree(source.name, root).arm(arm.tool or TCP_LINK)
+    joints = LinkTree(source.name, root).arm(arm.tool.partition(":")[0] or TCP_LINK)
     if arm.package:
         _drop_assumed(joints)
     write_limits(joints, table or LimitTable())
@@ -242,10 +242,8 @@ def _find(robot: str | Path) -> tuple[Path, LimitTable | None]:
     return path, None
 
 
-def _place_tool(tree: LinkTree, root: ElementTree.Element, tool: str | None, default: str | None) -> str:
-    """Return the link whose frame is G, by default that of an arm with a name; a pose becomes a new link."""
-    if tool is None and default:
-        return default
+def _place_tool(tree: LinkTree, root: ElementTree.Element, tool: str | None, own: str) -> str:
+    """Return the link whose frame is G; a pose, by default in the flange of an arm with tool `own`, is a new link."""
     links = f"the links of {tree.file} are {', '.join(tree.links)}"
     if tool is None:
         raise UsageError(f"$tool names no TCP frame of $robot {tree.file}; {links}")
@@ -254,7 +252,7 @@ def _place_tool(tree: LinkTree, root: ElementTree.Element, tool: str | None, def
         if tool not in tree.elements:
             raise UsageError(f"$tool: {tree.file} has no link {tool!r}{suggestion(tool, tree.links)}; {links}")
         return tool
-    parent = pose[1] or (FLANGE_LINK if default == TCP_LINK else default or "")
+    parent = pose[1] or (FLANGE_LINK if own == TCP_LINK else own)
     if parent not in tree.elements:
         raise UsageError(f"$tool {tool}: expected LINK:x,y,z,qw,qx,qy,qz, the pose of the TCP in a link; {links}")
     try:

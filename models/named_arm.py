@@ -29,7 +29,7 @@ class NamedArm(BaseModel):
     file: str = ""
     """Description in the package."""
     tool: str = ""
-    """Link whose frame is G."""
+    """Link whose frame is G, or its pose in a link, as in `--tool`."""
     columns: tuple[str, ...] = ()
     """Names of the joints in data sets; empty if they are those of the description."""
     source: str = ""

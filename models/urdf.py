@@ -11,6 +11,7 @@ from kinebench_drake.errors import InputError, SetupError, cause
 from kinebench_drake.io.atomic import atomic_folder
 from kinebench_drake.io.files import cache_folder
 from kinebench_drake.models.joint_limits import JOINT_COUNTS
+from kinebench_drake.models.mjcf import read_mjcf
 from kinebench_drake.models.obstacles import SCHEME
 
 TURNING = ("revolute", "continuous")
@@ -126,7 +127,7 @@ _VISUAL_COLOR = "0.9 0.92 0.93 1"
 
 
 def read_urdf(source: Path) -> ElementTree.Element:
-    """Read the root element of a URDF.
+    """Read the root element of a URDF; of an MJCF that of a URDF with the same content.
 
     Raises:
         InputError: the file cannot be read, or is no URDF.
@@ -141,6 +142,8 @@ def read_urdf(source: Path) -> ElementTree.Element:
         raise InputError(f"{source.name}: not a URDF ({error})") from None
     except OSError as error:
         raise InputError(f"{source.name} cannot be read ({cause(error)})") from None
+    if root.tag == "mujoco":
+        return read_mjcf(source, root)
     if root.tag != "robot":
         raise InputError(f"{source.name}: not a URDF (its root element is <{root.tag}>, expected <robot>)")
     return root
