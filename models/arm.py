@@ -163,13 +163,20 @@ def _fix_others(tree: LinkTree, joints: Sequence[ElementTree.Element]) -> list[s
     fingers = tree.fingers(joints)
     before = tree.chain(end_link(joints[0], "parent"))
     moved = [str(joint.get("name")) for joint in before if joint.get("type") in MOVING]
+    others: list[str] = []
     for joint in tree.joints:
         if joint not in joints and joint not in fingers and joint.get("type") in MOVING:
             limit = joint.find("limit")
             ends = [0.0 if limit is None else read_number(limit, name, 0.0) for name in ("lower", "upper")]
             if joint.get("type") == "continuous" or ends[0] <= 0.0 <= ends[1]:
                 joint.set("type", "fixed")
-    return [f"joints between the base and the arm are fixed: {', '.join(moved)}"] if moved else []
+            others += [link for link in tree.links if joint in (path := [*tree.chain(link)]) and joints[0] not in path]
+    shaped = [link for link in dict.fromkeys(others) if tree.elements[link].find("collision") is not None]
+    for link in shaped if moved or len(others) > len(joints) else ():  # at an unknown posture
+        for collision in tree.elements[link].findall("collision"):
+            tree.elements[link].remove(collision)
+    remarks = [f"joints between the base and the arm are fixed: {', '.join(moved)}"] if moved else []
+    return [*remarks, *([f"contacts with other limbs are not checked: {', '.join(shaped)}"] if shaped else [])]
 
 
 def _complete_shapes(source: Path, root: ElementTree.Element, package_path: Path | None) -> list[str]:

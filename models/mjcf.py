@@ -32,6 +32,7 @@ def read_mjcf(source: Path, root: ElementTree.Element) -> ElementTree.Element:
     plant, graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
     try:
         _inline(source, root)
+        root.set("model", root.get("model") or source.stem)
         _convert_meshes(source, root)
         Parser(plant).AddModelsFromString(ElementTree.tostring(root, encoding="unicode"), "xml")
         plant.Finalize()
