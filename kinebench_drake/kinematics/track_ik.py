@@ -99,15 +99,15 @@ def settle_free_turns(plant: ArmPlant, X_BG: Array) -> Array:
     q = plant.robot.rest_q
     for i in np.flatnonzero(np.isfinite(X_BG).all(axis=(1, 2))):
         near, error = solve_newton(plant, X_BG[i], q, iterations=20)
-        found = near[None]
+        reaching = near[None]
         if error > REACHED_M:
             starts = spread_postures(plant, _FREE_STARTS)
             postures = solve_newton_rows(plant, np.broadcast_to(X_BG[i], (len(starts), 4, 4)), starts)
             postures = postures[np.isfinite(postures).all(axis=-1)]
-            found = postures if len(postures) else found
-        past = limit_excess(plant, found).max(axis=-1)
-        turns = pose_difference(plant.forward_path(found), X_BG[i])[1]
-        q = found[np.argmin(turns + np.where(past > 0.0, np.pi + past, 0.0))]
+            reaching = postures if len(postures) else reaching
+        past = limit_excess(plant, reaching).max(axis=-1)
+        turns = pose_difference(plant.forward_path(reaching), X_BG[i])[1]
+        q = reaching[np.argmin(turns + np.where(past > 0.0, np.pi + past, 0.0))]
         X_now, J = plant.forward_and_jacobian(q)
         weight = np.repeat([ROTATION_ARM_M, 1.0], 3)
         error_G = weight * pose_twists(X_BG[[i]], X_now[None])[0]
