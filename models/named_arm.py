@@ -13,6 +13,9 @@ from pydantic import BaseModel, ConfigDict
 from kinebench_drake.errors import SetupError
 from kinebench_drake.models.joint_limits import LimitTable
 
+UNNAMED = "auto"
+"""Name in the place of an arm that data or else the default determine."""
+
 
 class NamedArm(BaseModel):
     """One arm of arms.toml."""

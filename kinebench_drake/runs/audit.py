@@ -17,17 +17,17 @@ from kinebench_drake.formats.trajectories.trajectory import Trajectory, Trajecto
 from kinebench_drake.io.jsonl import Json, as_type, read_object
 from kinebench_drake.metrics.recording_faults import find_action_lag, fingerprint, idle_ends
 from kinebench_drake.models.arm import PANDA, ROBOTS
-from kinebench_drake.models.named_arm import find_arm
+from kinebench_drake.models.named_arm import UNNAMED, find_arm
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.config import AUTO, RunConfig, RunKind, SourceConfig
+from kinebench_drake.runs.config import RunConfig, RunKind, SourceConfig
 from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluator, judge_row
 from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.option import Option
 from kinebench_drake.runs.reading_check import assess_readings, doubt_frame, doubt_robot
-from kinebench_drake.runs.resources import Resources, RobotOptions, load_resources
+from kinebench_drake.runs.resources import Resources, load_resources
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.track import GripperTrack
 
@@ -70,7 +70,7 @@ class AuditConfig(SourceConfig):
             "the robot_type of the data set, else panda]",
             metavar="NAME|FILE",
         ),
-    ] = AUTO
+    ] = UNNAMED
 
     def __post_init__(self) -> None:
         """Convert and check the options.
@@ -81,14 +81,9 @@ class AuditConfig(SourceConfig):
         SourceConfig.__post_init__(self)
         self.trajectory_options()
 
-    def robot_options(self) -> RobotOptions:
-        """Return robot and table; the robot is the Panda where neither the user nor a data set names one."""
-        options = SourceConfig.robot_options(self)
-        return replace(options, robot=PANDA) if options.robot == AUTO else options
-
     def choose_robot(self) -> "AuditConfig":
         """Return the options with the arm that the data set names, unless the user does."""
-        if self.robot != AUTO:
+        if self.robot != UNNAMED:
             return self
         info = find_source(self.source) / INFO
         named = as_type(read_object(info).get("robot_type"), str) if info.is_file() else None

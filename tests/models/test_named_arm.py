@@ -6,7 +6,8 @@ import pytest
 from kinebench_drake.errors import SetupError
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.arm import arm_limits, list_arms, load_robot
-from kinebench_drake.models.named_arm import NamedArm, find_arm, named_arms
+from kinebench_drake.models.named_arm import UNNAMED, NamedArm, find_arm, named_arms
+from kinebench_drake.runs.resources import RobotOptions
 
 INSTALLED = [str(arm["name"]) for arm in list_arms() if "missing" not in arm]
 
@@ -43,3 +44,7 @@ def test_an_arm_whose_package_is_missing_says_how_to_install_it(tmp_path: Path) 
     arm = NamedArm(title="Arm", types=(), package="no_such_package", requirement="no-such-package", file="a.urdf")
     with pytest.raises(SetupError, match=r"^Arm is described in no-such-package; pip install 'no-such-package'$"):
         arm.path()
+
+
+def test_an_arm_that_nobody_names_is_the_panda() -> None:
+    assert RobotOptions(robot=UNNAMED).robot == "panda"
