@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.markdown import section, table
-from kinebench_drake.api.scorer import reward_of
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.results.power import least_difference
@@ -103,13 +102,13 @@ def points_text(paired: PairedShares) -> str:
 def best_lines(folder: Path) -> list[str]:
     """Return the success of the sample with the best verdict of each episode beside that of all, and the gain.
 
-    The verdict of a sample is its reward (`kinebench_drake.api.scorer.reward_of`); the first of equal ones is taken.
+    The verdict of a sample is its executability, 0 where there is none; the first of equal ones is taken.
     """
     groups: dict[str, list[SampleRow]] = {}
     for row in sorted(read_rows(folder).values(), key=lambda row: row.sample_index):
         groups.setdefault(row.episode, []).append(row)
     success = np.array([[_hit(row) for row in own] for own in groups.values()])
-    best = [int(np.argmax([reward_of(row) for row in own])) for own in groups.values()]
+    best = [int(np.argmax([row.number("executability") or 0.0 for row in own])) for own in groups.values()]
     paired = _pair(success[np.arange(len(success)), best], success.mean(axis=1), success.shape[1])
     least = least_difference(paired)
     shares = (paired.second.mean(), paired.first.mean(), success.max(axis=1).mean())

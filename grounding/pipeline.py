@@ -234,7 +234,11 @@ class GroundingPipeline:
             arm_q=np.stack([p.arm.q if p and p.arm and p.arm.agrees else np.full(N_JOINTS, np.nan) for p in poses]),
             X_CH_raw=invert(motion.X_AC) @ np.stack([no_poses[0] if p is None else p.X_CH for p in poses]) @ X_HM,
             X_MH=tracking.gripper.X_MH,
-            curves={**_icp_curves(poses), "repeated": evidence.still.astype(np.float64)},
+            curves={
+                **_icp_curves(poses),
+                "repeated": evidence.still.astype(np.float64),
+                **{f"fault_{kind.value}": each.score for kind, each in detections.by_kind.items()},
+            },
         )
 
     def _contradicts(self, state: InitialState, frames: Frames, camera: Camera) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,10 @@ from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.runs.config import ScoreConfig, check_period
 from kinebench_drake.runs.evaluator import SampleHashes, complete_row
 from kinebench_drake.runs.resources import Resources
-from kinebench_drake.runs.score import VideoEvaluator
+from kinebench_drake.runs.score import VideoEvaluator, VideoMeasurement
+
+if TYPE_CHECKING:  # loads Drake
+    from kinebench_drake.metrics.executability import Executability
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,22 +44,27 @@ class Score:
     numbers: Mapping[str, float]
     """Metrics by name, as in samples.jsonl, without those that could not be measured. NAME_bound: the worst that NAME
     can be where frames are lost."""
-    reward: float
-    """Between 0 and 1: half for a motion that can be executed as a whole, half for the evidence; see `reward_of`."""
+    executability: float | None
+    """Score of the motion with the weights of the scorer, 0 to 1 (docs/reward.md); None: too little was measured, or
+    there is no base frame."""
+    terms: Mapping[str, float]
+    """Score by each term alone, and by the lost frames (`coverage`); empty where there is none."""
+
+    @property
+    def reward(self) -> float:
+        """The executability; 0 where there is none."""
+        return self.executability or 0.0
 
 
-def reward_of(row: SampleRow) -> float:
-    """Return the reward (v + e) / 2 of a row, between 0 and 1.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Ask:
+    """What is asked about a clip besides its frames."""
 
-    v is 1 if the clip is executable and the arm moves, else 0; an open verdict counts as no. e is the mean confidence
-    over all frames, 0 for those without a pose. A frame that is lost lowers e and can only open a verdict, so a model
-    gains nothing by hiding the gripper; nor by standing still.
-    """
-    if row.status is not Status.OK:
-        return 0.0
-    evidence = (row.metrics.confidence_mean or 0.0) * (row.metrics.tracked_fraction or 0.0)
-    verdict = row.executable is True and not row.metrics.motionless
-    return 0.5 * (float(verdict) + evidence)
+    camera: CameraSetting | None
+    period_s: float
+    first_frame: NDArray[np.uint8] | None
+    motion_m: float | None
+    weights: Mapping[str, float]
 
 
 class Scorer:
@@ -68,12 +76,13 @@ class Scorer:
             best = clips[max(range(len(clips)), key=lambda k: scores[k].reward)]
     """
 
-    def __init__(self, *, jobs: int = 1) -> None:
+    def __init__(self, *, jobs: int = 1, weights: Mapping[str, float] | None = None) -> None:
         """Create a scorer; processes start, and models are loaded, with the first clip.
 
         Args:
             jobs: processes of `batch`; 1: the calling one. With more, a script needs the guard
                 `if __name__ == "__main__":`.
+            weights: exponents of the terms of the executability, 0 leaves one out; 1 for those not named.
 
         Raises:
             UsageError: there is no such number of processes.
@@ -81,6 +90,7 @@ class Scorer:
         if jobs < 1:
             raise UsageError(f"jobs is {jobs}, expected 1 or more")
         self._jobs = jobs
+        self._weights = dict(weights or {})
         self._tools: Resources | None = None
         self._pool: ProcessPoolExecutor | None = None
 
@@ -91,6 +101,8 @@ class Scorer:
         *,
         camera: Camera | CameraSetting | PathName | None = None,
         period_s: float,
+        first_frame: NDArray[np.uint8] | None = None,
+        motion_m: float | None = None,
     ) -> Score:
         """Score one clip in this process; one that cannot be measured has a reward of 0 and its reason.
 
@@ -99,14 +111,14 @@ class Scorer:
             camera: the camera, what its camera.json states, or its name or the path of that file; None: the benchmark's
                 or another named one where the arm confirms it, else estimated.
             period_s: task time between two frames [s].
+            first_frame: (h, w, 3) uint8 RGB, the image with which the clip should begin; None: not compared.
+            motion_m: length of the path that is expected of the TCP, such as that of a reference [m]; None: unknown.
 
         Raises:
             UsageError: an argument cannot be used.
             SetupError: weights or libraries are missing.
         """
-        if self._tools is None:
-            self._tools = _evaluator(period_s).setup()
-        return _score(self._tools, frames, camera_setting(camera), period_s)
+        return self._score(frames, self._ask(camera, period_s, first_frame, motion_m))
 
     @own_arguments()
     def batch(
@@ -115,17 +127,40 @@ class Scorer:
         *,
         camera: Camera | CameraSetting | PathName | None = None,
         period_s: float,
+        first_frame: NDArray[np.uint8] | None = None,
+        motion_m: float | None = None,
     ) -> list[Score]:
-        """Score some clips of one camera, in `jobs` processes that stay; arguments and exceptions as for one clip."""
+        """Score some clips of one prompt, in `jobs` processes that stay; arguments and exceptions as for one clip."""
+        ask = self._ask(camera, period_s, first_frame, motion_m)
         if self._jobs == 1:
-            return [self(frames, camera=camera, period_s=period_s) for frames in clips]
+            return [self._score(frames, ask) for frames in clips]
         if self._pool is None:
             self._pool = ProcessPoolExecutor(self._jobs, multiprocessing.get_context("spawn"), _start)
         try:
-            return list(self._pool.map(partial(_score_here, camera=camera_setting(camera), period_s=period_s), clips))
+            return list(self._pool.map(partial(_score_here, ask=ask), clips))
         except BrokenProcessPool:
             self.close()
             raise SetupError("a process of the scorer ended, such as for lack of memory: use fewer jobs") from None
+
+    def _score(self, frames: NDArray[np.uint8], ask: _Ask) -> Score:
+        if self._tools is None:
+            self._tools = _evaluator(ask.period_s).setup()
+        return _score(self._tools, frames, ask)
+
+    def _ask(
+        self,
+        camera: Camera | CameraSetting | PathName | None,
+        period_s: float,
+        first_frame: NDArray[np.uint8] | None,
+        motion_m: float | None,
+    ) -> _Ask:
+        return _Ask(
+            camera=camera_setting(camera),
+            period_s=period_s,
+            first_frame=first_frame,
+            motion_m=motion_m,
+            weights=self._weights,
+        )
 
     def close(self) -> None:
         """End the processes."""
@@ -148,14 +183,20 @@ def _evaluator(period_s: float) -> VideoEvaluator:
     return VideoEvaluator(config=config, overrides=Overrides())
 
 
-def _score(tools: Resources, frames: NDArray[np.uint8], camera: CameraSetting | None, period_s: float) -> Score:
-    check_period(period_s)
-    sample = VideoSample(id="clip", path=Path("clip"), video="clip").filmed_by(camera, CameraSource.ARGUMENT)
-    evaluator = _evaluator(period_s)
+def _score(tools: Resources, frames: NDArray[np.uint8], ask: _Ask) -> Score:
+    check_period(ask.period_s)
+    sample = VideoSample(id="clip", path=Path("clip"), video="clip").filmed_by(ask.camera, CameraSource.ARGUMENT)
+    evaluator = _evaluator(ask.period_s)
     video = Video(frames=np.asarray(frames), fps=None, stamps_s=None)
+    measured: list[VideoMeasurement] = []
+
+    def measure(row: SampleRow) -> SampleRow:
+        measured.append(evaluator.measure(sample, video, tools, row))
+        return measured[0].row
+
     with one_thread():
-        blank = evaluator.blank_row(sample, SampleHashes(content="", input=None))
-        row = complete_row(blank, lambda row: evaluator.measure(sample, video, tools, row).row)
+        row = complete_row(evaluator.blank_row(sample, SampleHashes(content="", input=None)), measure)
+    rating = _rate(measured[0], ask) if measured else None
     numbers = {name: float(value) for name, value in row.metrics.numbers.items() if value is not None}
     reasons = row.executable_reasons if row.reason is None else (row.reason,)
     return Score(
@@ -163,8 +204,22 @@ def _score(tools: Resources, frames: NDArray[np.uint8], camera: CameraSetting | 
         feasible=row.feasible,
         reasons=reasons,
         numbers={name: value for name, value in numbers.items() if np.isfinite(value)},
-        reward=reward_of(row),
+        executability=rating.score if rating else None,
+        terms=rating.terms if rating else {},
     )
+
+
+def _rate(measured: VideoMeasurement, ask: _Ask) -> "Executability | None":
+    from kinebench_drake.metrics.executability import FAULT, gather_faults, rate_faults, start_ratio  # loads Drake
+
+    if measured.kinematics is None:
+        return None
+    curves = dict(measured.grounding.measured.curves)
+    if ask.first_frame is not None:
+        ratio = start_ratio(measured.grounding.frames[0], ask.first_frame)
+        curves[FAULT + "start"] = np.full(len(measured.grounding.track.t_s), ratio)
+    faults = gather_faults(measured.kinematics, curves)
+    return rate_faults(faults, ask.weights, ask.motion_m) if faults else None
 
 
 _own: list[Resources] = []
@@ -175,5 +230,5 @@ def _start() -> None:
     _own.append(_evaluator(1.0).setup())
 
 
-def _score_here(frames: NDArray[np.uint8], *, camera: CameraSetting | None, period_s: float) -> Score:
-    return _score(_own[0], frames, camera, period_s)
+def _score_here(frames: NDArray[np.uint8], *, ask: _Ask) -> Score:
+    return _score(_own[0], frames, ask)

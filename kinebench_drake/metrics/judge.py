@@ -27,6 +27,12 @@ from kinebench_drake.metrics.coverage import (
     worst_manipulability,
 )
 from kinebench_drake.metrics.discontinuity import find_discontinuities
+from kinebench_drake.metrics.executability import (
+    MIN_TRACKED_FRACTION,
+    MIN_TRACKED_FRAMES,
+    MOST_NOISE,
+    motion_ratios,
+)
 from kinebench_drake.metrics.kinematic_result import (
     JointPath,
     KinematicResult,
@@ -61,12 +67,6 @@ from kinebench_drake.segments import finite_rows, spread
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 from kinebench_drake.violation import Violation, ViolationKind
 
-MIN_TRACKED_FRAMES = 5
-"""Fewest tracked frames of a feasible track."""
-MIN_TRACKED_FRACTION = 0.5
-"""Least share of tracked frames of a feasible track."""
-MOST_NOISE = TrackNoise(position_m=0.015, rotation_rad=float(np.deg2rad(7.5)))
-"""Greatest noise that is allowed for: a track that jitters more is taken for motion and judged as exact."""
 MOST_JOINT_NOISE_RAD = 0.02
 """The same for joint angles [rad]."""
 ASSUMED_NOISE = TrackNoise(position_m=0.005, rotation_rad=float(np.deg2rad(2.5)))
@@ -358,7 +358,7 @@ class TrackJudge:
             unchecked=plant.robot.limits.unstated,
             reasons=MappingProxyType(reasons),
             details=MappingProxyType(path_details(plant, measured)),
-            curves=MappingProxyType(track_curves(plant, measured)),
+            curves=MappingProxyType({**track_curves(plant, measured), **motion_ratios(plant, measured, violations)}),
         )
 
 

@@ -43,8 +43,8 @@ def find_unreachable(joints: JointTrack, noise: TrackNoise) -> Iterator[Violatio
 
     `value` is the greatest pose error [m], with rotations weighted by ROTATION_ARM_M as in inverse kinematics.
     """
-    error = _pose_error(joints)
-    limit = _noise_limit(noise)
+    error = pose_error(joints)
+    limit = pose_tolerance(noise)
     for run in segments(_has(joints, IkStatus.UNREACHABLE) & (error > limit)):
         yield Violation.of_run(ViolationKind.UNREACHABLE, run, None, float(error[run].max()), limit)
 
@@ -57,8 +57,8 @@ def find_limit_violations(
     For frames whose pose error within limits is more than the noise explains. Where no posture is known that reaches
     the pose past limits, `joint` is None and `value` is the pose error [m].
     """
-    limit = _noise_limit(noise)
-    failed = _has(joints, IkStatus.JOINT_LIMIT) & (_pose_error(joints) > limit)
+    limit = pose_tolerance(noise)
+    failed = _has(joints, IkStatus.JOINT_LIMIT) & (pose_error(joints) > limit)
     q = np.full_like(joints.q, np.nan)
     for i in np.flatnonzero(failed):
         posture = find_least_excess(plant, track.X_BG[i])
@@ -66,7 +66,7 @@ def find_limit_violations(
             q[i] = posture
     named = yield from find_joint_limit_violations(plant, q, np.full(q.shape[1], _LIMIT_TOLERANCE_RAD))
     for run in segments(failed & ~named):  # past a limit between the samples of the sweep: the joint is unknown
-        yield Violation.of_run(ViolationKind.JOINT_LIMIT, run, None, float(_pose_error(joints)[run].max()), limit)
+        yield Violation.of_run(ViolationKind.JOINT_LIMIT, run, None, float(pose_error(joints)[run].max()), limit)
 
 
 def find_joint_limit_violations(
@@ -142,12 +142,13 @@ def _has(joints: JointTrack, status: IkStatus) -> NDArray[np.bool_]:
     return np.array([s is status for s in joints.status], dtype=bool)
 
 
-def _pose_error(joints: JointTrack) -> Array:
+def pose_error(joints: JointTrack) -> Array:
     """Return the weighted pose error (T,) [m] of each frame, rotations weighted by ROTATION_ARM_M."""
     return np.hypot(joints.position_error_m, ROTATION_ARM_M * joints.rotation_error_rad)
 
 
-def _noise_limit(noise: TrackNoise) -> float:
+def pose_tolerance(noise: TrackNoise) -> float:
+    """Return the weighted pose error [m] that the noise of the track explains."""
     sigma = float(np.hypot(noise.position_m, ROTATION_ARM_M * noise.rotation_rad))
     offset = float(np.hypot(noise.offset_m, ROTATION_ARM_M * noise.offset_rad))
     return max(POSITION_TOLERANCE_M, NOISE_SIGMAS * sigma, offset)

@@ -6,7 +6,16 @@ BOUND = "_bound"
 """End of the name of a metric's worst case: the least favourable value whatever happens in lost frames."""
 HIGHER_IS_BETTER = frozenset(
     {
-        *("feasible", "executable", "success", "progress", "tracked_fraction", "ik_success_rate", "trajopt_feasible"),
+        *(
+            "feasible",
+            "executable",
+            "executability",
+            "success",
+            "progress",
+            "tracked_fraction",
+            "ik_success_rate",
+            "trajopt_feasible",
+        ),
         *("sparc", "sparc_rotation", "ldlj", "sparc_filtered", "sparc_rotation_filtered"),
         *("manipulability_mean", "manipulability_min", "manipulability_integral", "manipulability_limited_mean"),
         *("manipulability_limited_min", "manipulability_translation_mean", "manipulability_rotation_mean"),

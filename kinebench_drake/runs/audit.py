@@ -23,7 +23,7 @@ from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.config import RunConfig, RunKind, SourceConfig
-from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluator, judge_row
+from kinebench_drake.runs.evaluator import EXECUTABILITY, KINEMATIC_METRICS, Evaluator, judge_row
 from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.option import Option
 from kinebench_drake.runs.reading_check import assess_readings, doubt_frame, doubt_robot
@@ -190,7 +190,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
     @property
     def metric_names(self) -> tuple[str, ...]:
         """Kinematic metrics."""
-        return KINEMATIC_METRICS
+        return (EXECUTABILITY, *KINEMATIC_METRICS)
 
     @property
     def artifacts(self) -> tuple[str, ...]:

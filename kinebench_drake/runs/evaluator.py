@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, name_options, one_line
+from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.metrics.trust import assess_trust
 from kinebench_drake.results.inputs import describe_period
@@ -39,7 +40,9 @@ KINEMATIC_METRICS = (
         "table_distance_min_m",
     ),
 )
-"""Metrics of every judged row; null where not measurable."""
+"""Metrics of every track that is judged; null where not measurable."""
+EXECUTABILITY = "executability"
+"""Metric of every judged row: the score of the motion, 0 to 1 (`metrics.executability`)."""
 
 
 class SampleInfo(Protocol):
@@ -199,6 +202,7 @@ def judge_row(
     agreed: "KinematicResult | None" = None,
     reasons: Mapping[str, str] = MappingProxyType({}),
     tracked: NDArray[np.bool_] | None = None,
+    curves: Mapping[str, Array] = MappingProxyType({}),
 ) -> SampleRow:
     """Return a row, whose other metrics are measured, with the verdict on the motion and the metrics behind it.
 
@@ -208,10 +212,18 @@ def judge_row(
         reasons: why metrics besides those of the kinematics are null, by name; where kinematics is not judged, that of
             all others by "".
         tracked: (T,) frames with a pose, where the run judges but there is no base frame to judge in.
+        curves: curves of the grounding.
     """
     verdict = kinematics or agreed
     executable, obstacles = judge_execution(verdict, row.metrics.anomalies, row.anomalies_open or (), tracked)
-    row = row.measured(kinematics.metrics if kinematics else {})
+    details: dict[str, Json] = {}
+    if kinematics:
+        from kinebench_drake.metrics.executability import gather_faults, rate_faults
+
+        faults = gather_faults(kinematics, curves)
+        rating = rate_faults(faults) if faults else None
+        row = row.measured({**kinematics.metrics, EXECUTABILITY: rating.score if rating else None})
+        details = {**kinematics.details, EXECUTABILITY: dict(rating.terms) if rating else None}
     return replace(
         row,
         feasible=verdict.feasible if verdict else None,
@@ -219,7 +231,7 @@ def judge_row(
         executable_reasons=obstacles,
         violations=verdict.violations if verdict else (),
         null_reasons=_null_reasons(row.metrics, reasons, kinematics, is_judged=verdict is not None),
-        details=dict(kinematics.details) if kinematics else {},
+        details=details,
     )
 
 

@@ -10,13 +10,14 @@ import numpy as np
 
 from kinebench_drake.camera import CameraSource
 from kinebench_drake.environment.precision import network_precision
+from kinebench_drake.errors import InputError
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample, VideoSamples
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.container import write_video
-from kinebench_drake.io.images import frame_files
+from kinebench_drake.io.images import frame_files, read_image
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.video import Video
 from kinebench_drake.metrics.recording_faults import fingerprint, idle_ends
@@ -27,7 +28,7 @@ from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.runs.action_export import require_own_folder, write_actions
 from kinebench_drake.runs.config import AUTO, ScoreConfig, period_warnings
-from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluator, fail_row, judge_row
+from kinebench_drake.runs.evaluator import EXECUTABILITY, KINEMATIC_METRICS, Evaluator, fail_row, judge_row
 from kinebench_drake.runs.frame_period import TimedFrames, time_frames
 from kinebench_drake.runs.gate import close_gate
 from kinebench_drake.runs.pictures import encode_strip, worst_frame
@@ -94,6 +95,25 @@ def compare_extractors(track: GripperTrack, reference_X_BG: Array | None) -> dic
         "reference_share": float(both.mean()),
         **dict(zip(names, map(float, values) if values else [None] * 3, strict=True)),
     }
+
+
+def compare_start(sample: VideoSample, grounding: "GroundingResult") -> dict[str, Array]:
+    """Return the curve with the fault ratio of a first frame that differs from its conditioning image; empty without.
+
+    Of tiled frames, and where the image cannot be read, nothing is compared.
+    """
+    from kinebench_drake.grounding.camera.framing import apply_framing  # loads OpenCV
+    from kinebench_drake.metrics.executability import FAULT, start_ratio
+
+    if sample.first_frame is None or grounding.panels is not None:
+        return {}
+    try:
+        image = read_image(sample.first_frame)
+    except InputError:
+        return {}
+    image = np.ascontiguousarray(image[:, ::-1]) if sample.mirrored else image
+    ratio = start_ratio(grounding.frames[0], apply_framing(grounding.framing, image))
+    return {FAULT + "start": np.full(len(grounding.track.t_s), ratio)}
 
 
 def judge_possible(tracks: Sequence[GripperTrack], tools: Resources, table_height_m: float) -> "KinematicResult | None":
@@ -240,8 +260,10 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
             row = row.measured(smoothness)
         if agreed is not None:
             row = row.extended(possible_cameras=len(grounding.possible))
-        row = judge_row(row, kinematics, agreed=agreed, reasons=reasons, tracked=track.tracked)
-        return VideoMeasurement(grounding=grounding, kinematics=kinematics, row=row)
+        start = compare_start(sample, grounding)
+        curves = {**grounding.measured.curves, **start}
+        row = judge_row(row, kinematics, agreed=agreed, reasons=reasons, tracked=track.tracked, curves=curves)
+        return VideoMeasurement(grounding=grounding, kinematics=kinematics, row=row, curves=start)
 
     def write(self, sample: VideoSample, video: Video, tools: Resources, measurement: VideoMeasurement) -> None:
         """Write the artifacts of a video."""
@@ -271,7 +293,7 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
     @property
     def metric_names(self) -> tuple[str, ...]:
         """Visual metrics, and kinematic ones where tracks are judged."""
-        return (*VISUAL_METRICS, *(KINEMATIC_METRICS if self.config.kind.judges else ()))
+        return (*VISUAL_METRICS, *((EXECUTABILITY, *KINEMATIC_METRICS) if self.config.kind.judges else ()))
 
     @property
     def artifacts(self) -> tuple[str, ...]:

@@ -145,7 +145,7 @@ def _compare_row(row: SampleRow, file: TrackFile, tools: Resources | None) -> It
         tracked = float(np.mean(file.track.tracked))
         expected = row.measured({"tracked_fraction": tracked, "confidence_mean": mean_confidence(file.track)})
     if tools is not None and row.base_frame_reason is None:
-        expected = judge_row(expected, _judge_file(row, file, tools))
+        expected = judge_row(expected, _judge_file(row, file, tools), curves=file.curves)
     elif row.feasible is not None and row.possible_cameras is None:
         yield f"feasible is {row.feasible}, but the row has no base frame"
     yield from list_differences(_verdict(row), _verdict(expected), "its track gives")

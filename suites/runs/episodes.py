@@ -24,7 +24,7 @@ from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow, Status, sample_suffix
 from kinebench_drake.results.store import REQUESTS, artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.runs.evaluator import KINEMATIC_METRICS, Evaluator, fail_row, judge_row
+from kinebench_drake.runs.evaluator import EXECUTABILITY, KINEMATIC_METRICS, Evaluator, fail_row, judge_row
 from kinebench_drake.runs.resources import Resources, load_resources
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.runs.score import VISUAL_METRICS
@@ -186,13 +186,14 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         results = [resources.tools.judge(track) for track in tracks]
         track = join_tracks(tracks)
         kinematics = combine(tracks, results)
+        grounded = join_curves([r.grounding.measured.curves for r in run.rounds])
         write_track(
             artifact_path(self.config.out, "tracks", sample.id),
             track,
             kinematics.joints,
             {
                 **kinematics.curves,
-                **join_curves([r.grounding.measured.curves for r in run.rounds]),
+                **grounded,
                 **action_curves(tracks, [r.actions for r in run.rounds]),
             },
         )
@@ -228,7 +229,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             frames=len(track.t_s),
             **camera_paths(run),
         )
-        return judge_row(row, kinematics, reasons=gap_reasons)
+        return judge_row(row, kinematics, reasons=gap_reasons, curves=grounded)
 
     def _action_metrics(self, sample: EpisodeSample, run: EpisodeRun) -> Mapping[str, float | None]:
         """Return how far the clips follow the actions; empty without actions."""
@@ -268,7 +269,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
     def metric_names(self) -> tuple[str, ...]:
         """Visual, gap, action and kinematic metrics."""
         actions = ACTION_METRICS if self.loop.condition is Condition.ACTIONS else ()
-        return (*VISUAL_METRICS, *GAP_METRICS, *actions, *KINEMATIC_METRICS)
+        return (*VISUAL_METRICS, *GAP_METRICS, *actions, EXECUTABILITY, *KINEMATIC_METRICS)
 
     @property
     def artifacts(self) -> tuple[str, ...]:

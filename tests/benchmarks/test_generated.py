@@ -41,7 +41,7 @@ def test_success_is_paired_with_that_of_the_still_video():
 
 def test_choice_takes_the_sample_with_the_best_verdict(tmp_path):
     rows = [
-        episode_row("A-v1", seed, success=sample == 1, executable=sample == 1, sample=sample)
+        episode_row("A-v1", seed, success=sample == 1, sample=sample).measured({"executability": 0.5 + 0.1 * sample})
         for seed in range(6)
         for sample in range(2)
     ]

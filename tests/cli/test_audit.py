@@ -101,7 +101,7 @@ def test_every_kind_of_trajectory_becomes_a_row(run, tmp_path):
     assert (told.format, told.judged, told.frames) == ("maniskill", "joints", N)
     assert told.duration_s == pytest.approx((N - 1) / 20)
     assert rows["poses"].judged == "poses"
-    assert rows["good"].details == {"given": "q"}
+    assert rows["good"].details["given"] == "q"
     assert rows["good"].dropped_samples == ()
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert (results["kind"], results["samples_found"]) == ("audit", 8)

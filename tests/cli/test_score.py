@@ -57,7 +57,7 @@ def test_every_kind_of_sample_becomes_a_row(film, config, tmp_path):
             assert "\n" not in row.reason
             assert set(row.metrics.values()) == {None}
     assert rows["good"].null_reasons["ldlj"] == "the fake has none"
-    assert rows["good"].details == {"table_height_m": 0.0}
+    assert rows["good"].details["table_height_m"] == 0.0
     for id in ("good", "bad"):  # what is null has a reason, what is not has none
         assert set(rows[id].null_reasons) == {name for name, value in rows[id].metrics.items() if value is None}
         assert all(rows[id].null_reasons.values())
