@@ -7,12 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import httpx
 import numpy as np
 import pytest
 from PIL import Image
 
-from kinebench_drake import Scorer
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -89,27 +87,6 @@ def test_the_example_of_samples_ranks_a_clip_that_shows_an_arm_first(run, clip):
     assert "clip: executable" in first
     assert second.startswith("0.000  noise: ")
     assert "clips a minute in 1 process" in speed
-
-
-@pytest.mark.slow
-def test_the_example_of_a_reward_server_answers_what_the_scorer_says(clip):
-    frames = read_video(clip).frames
-    command = [sys.executable, str(EXAMPLES / "reward_server.py"), "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-        try:
-            url = server.stdout.readline().split()[-1]
-            np.savez(body := io.BytesIO(), frames=frames, period_s=0.2)
-            answer = httpx.post(url, content=body.getvalue(), timeout=300.0).json()
-            for damaged in (b"x", body.getvalue()[:-100]):
-                refused = httpx.post(url, content=damaged, timeout=60.0)
-                assert refused.status_code == 400
-                assert "no whole npz file" in refused.json()["error"]
-        finally:
-            server.kill()
-    score = Scorer()(frames, period_s=0.2)
-    assert answer["executable"] is True
-    assert answer["reward"] == score.reward
-    assert answer["numbers"] == score.numbers
 
 
 @pytest.mark.sapien

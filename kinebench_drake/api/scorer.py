@@ -1,14 +1,10 @@
 """Scores of clips in a training loop: models that stay loaded, a verdict, its reasons, numbers and a bounded reward."""
 
-import multiprocessing
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +12,9 @@ from numpy.typing import NDArray
 from kinebench_drake.api.runs import PathName, own_arguments
 from kinebench_drake.api.single import camera_setting
 from kinebench_drake.camera import Camera, CameraSetting, CameraSource
-from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.local import one_thread
+from kinebench_drake.executors.queue import JobQueue
 from kinebench_drake.formats.videos.sample import VideoSample
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.video import Video
@@ -50,21 +47,15 @@ class Score:
     terms: Mapping[str, float]
     """Score by each term alone, and by the lost frames (`coverage`); empty where there is none."""
 
+    @classmethod
+    def failed(cls, reason: str) -> Self:
+        """Return the score of a clip that could not be read."""
+        return cls(executable=None, feasible=None, reasons=(reason,), numbers={}, executability=None, terms={})
+
     @property
     def reward(self) -> float:
         """The executability; 0 where there is none."""
         return self.executability or 0.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Ask:
-    """What is asked about a clip besides its frames."""
-
-    camera: CameraSetting | None
-    period_s: float
-    first_frame: NDArray[np.uint8] | None
-    motion_m: float | None
-    weights: Mapping[str, float]
 
 
 class Scorer:
@@ -92,7 +83,7 @@ class Scorer:
         self._jobs = jobs
         self._weights = dict(weights or {})
         self._tools: Resources | None = None
-        self._pool: ProcessPoolExecutor | None = None
+        self._queue: JobQueue[tuple[NDArray[np.uint8], Mapping[str, Any]], Score] | None = None
 
     @own_arguments()
     def __call__(
@@ -118,7 +109,8 @@ class Scorer:
             UsageError: an argument cannot be used.
             SetupError: weights or libraries are missing.
         """
-        return self._score(frames, self._ask(camera, period_s, first_frame, motion_m))
+        rating = {"weights": self._weights, "first_frame": first_frame, "motion_m": motion_m}
+        return self._score(frames, {"camera": camera_setting(camera), "period_s": period_s, **rating})
 
     @own_arguments()
     def batch(
@@ -131,42 +123,25 @@ class Scorer:
         motion_m: float | None = None,
     ) -> list[Score]:
         """Score some clips of one prompt, in `jobs` processes that stay; arguments and exceptions as for one clip."""
-        ask = self._ask(camera, period_s, first_frame, motion_m)
+        rating = {"weights": self._weights, "first_frame": first_frame, "motion_m": motion_m}
+        ask = {"camera": camera_setting(camera), "period_s": period_s, **rating}
         if self._jobs == 1:
             return [self._score(frames, ask) for frames in clips]
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(self._jobs, multiprocessing.get_context("spawn"), _start)
-        try:
-            return list(self._pool.map(partial(_score_here, ask=ask), clips))
-        except BrokenProcessPool:
-            self.close()
-            raise SetupError("a process of the scorer ended, such as for lack of memory: use fewer jobs") from None
+        if self._queue is None:
+            self._queue = JobQueue(_make_worker, workers=self._jobs, most=np.inf)
+        futures = self._queue.submit([(frames, ask) for frames in clips])
+        return [future.result() for future in futures or ()]
 
-    def _score(self, frames: NDArray[np.uint8], ask: _Ask) -> Score:
+    def _score(self, frames: NDArray[np.uint8], ask: Mapping[str, Any]) -> Score:
         if self._tools is None:
-            self._tools = _evaluator(ask.period_s).setup()
-        return _score(self._tools, frames, ask)
-
-    def _ask(
-        self,
-        camera: Camera | CameraSetting | PathName | None,
-        period_s: float,
-        first_frame: NDArray[np.uint8] | None,
-        motion_m: float | None,
-    ) -> _Ask:
-        return _Ask(
-            camera=camera_setting(camera),
-            period_s=period_s,
-            first_frame=first_frame,
-            motion_m=motion_m,
-            weights=self._weights,
-        )
+            self._tools = _evaluator(ask["period_s"]).setup()
+        return _score(self._tools, frames, **ask)
 
     def close(self) -> None:
         """End the processes."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+        if self._queue is not None:
+            self._queue.close()
+            self._queue = None
 
     def __enter__(self) -> Self:
         return self
@@ -183,10 +158,12 @@ def _evaluator(period_s: float) -> VideoEvaluator:
     return VideoEvaluator(config=config, overrides=Overrides())
 
 
-def _score(tools: Resources, frames: NDArray[np.uint8], ask: _Ask) -> Score:
-    check_period(ask.period_s)
-    sample = VideoSample(id="clip", path=Path("clip"), video="clip").filmed_by(ask.camera, CameraSource.ARGUMENT)
-    evaluator = _evaluator(ask.period_s)
+def _score(
+    tools: Resources, frames: NDArray[np.uint8], *, camera: CameraSetting | None, period_s: float, **ask: Any
+) -> Score:
+    check_period(period_s)
+    sample = VideoSample(id="clip", path=Path("clip"), video="clip").filmed_by(camera, CameraSource.ARGUMENT)
+    evaluator = _evaluator(period_s)
     video = Video(frames=np.asarray(frames), fps=None, stamps_s=None)
     measured: list[VideoMeasurement] = []
 
@@ -196,7 +173,7 @@ def _score(tools: Resources, frames: NDArray[np.uint8], ask: _Ask) -> Score:
 
     with one_thread():
         row = complete_row(evaluator.blank_row(sample, SampleHashes(content="", input=None)), measure)
-    rating = _rate(measured[0], ask) if measured else None
+    rating = _rate(measured[0], **ask) if measured else None
     numbers = {name: float(value) for name, value in row.metrics.numbers.items() if value is not None}
     reasons = row.executable_reasons if row.reason is None else (row.reason,)
     return Score(
@@ -209,26 +186,25 @@ def _score(tools: Resources, frames: NDArray[np.uint8], ask: _Ask) -> Score:
     )
 
 
-def _rate(measured: VideoMeasurement, ask: _Ask) -> "Executability | None":
+def _rate(
+    measured: VideoMeasurement,
+    *,
+    weights: Mapping[str, float],
+    first_frame: NDArray[np.uint8] | None,
+    motion_m: float | None,
+) -> "Executability | None":
     from kinebench_drake.metrics.executability import FAULT, gather_faults, rate_faults, start_ratio  # loads Drake
 
     if measured.kinematics is None:
         return None
     curves = dict(measured.grounding.measured.curves)
-    if ask.first_frame is not None:
-        ratio = start_ratio(measured.grounding.frames[0], ask.first_frame)
+    if first_frame is not None:
+        ratio = start_ratio(measured.grounding.frames[0], first_frame)
         curves[FAULT + "start"] = np.full(len(measured.grounding.track.t_s), ratio)
     faults = gather_faults(measured.kinematics, curves)
-    return rate_faults(faults, ask.weights, ask.motion_m) if faults else None
+    return rate_faults(faults, weights, motion_m) if faults else None
 
 
-_own: list[Resources] = []
-"""Resources of a worker process."""
-
-
-def _start() -> None:
-    _own.append(_evaluator(1.0).setup())
-
-
-def _score_here(frames: NDArray[np.uint8], *, ask: _Ask) -> Score:
-    return _score(_own[0], frames, ask)
+def _make_worker() -> Callable[[tuple[NDArray[np.uint8], Mapping[str, Any]]], Score]:
+    tools = _evaluator(1.0).setup()
+    return lambda item: _score(tools, item[0], **item[1])

@@ -25,6 +25,7 @@ _COMMANDS = {
     "calibrate": ("calibrate", "Estimate a static camera from a video of the robot."),
     "cameras": ("calibrate", "List the cameras that are known by name."),
     "robots": ("calibrate", "List the arms that are known by name, and what is checked of each."),
+    "serve": ("serve", "Score clips that are sent over HTTP."),
     "suite": ("", "Task suites: closed-loop runs, demonstrations, exports, reports."),
     "report": ("outputs", "Write the html report of output folders again."),
     "compare": ("outputs", "Compare output folders."),

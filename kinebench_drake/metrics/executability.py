@@ -9,6 +9,7 @@ large faults differ, too. A lost frame is worth as little as the worst fault.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -30,7 +31,7 @@ TERMS = (
     *("reach", "joint_limit", "self_distance", "table_distance", "obstacle"),
     *("velocity", "acceleration", "jerk", "torque", "jump", "jitter"),
     *(kind.value for kind in AnomalyKind),
-    *("start", "evidence", "motion"),
+    *("start", "idle", "evidence", "motion"),
 )
 """Terms of a score; a clip has those that can be measured of it."""
 FAULT = "fault_"
@@ -51,7 +52,9 @@ _LIMIT_RAD = 0.05
 are more."""
 _LEAST_JUMP = 0.05
 """Least fault ratio of a jump that counts."""
-_LEAST_CONFIDENCE = 1e-6
+_IDLE = 0.5
+"""Fault ratio of a frame that repeats the picture before it: half of the frames cost 4 %, more than a clip may gain by
+repeated frames, which are as easy to track as those before."""
 _START_PX = 48
 """Width and height of the pictures in which a first frame is compared with its conditioning image [px]."""
 _START_LEVELS = 40.0
@@ -75,16 +78,6 @@ class MotionFaults:
     path_m: float
     """Length of the path of the TCP [m]."""
 
-    def __post_init__(self) -> None:
-        """Check the lengths.
-
-        Raises:
-            UsageError: the ratios of a term are not of T frames.
-        """
-        for name, ratio in self.ratios.items():
-            if ratio.shape != self.lost.shape:
-                raise UsageError(f"the ratios of {name} have shape {ratio.shape}, expected {self.lost.shape}")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Executability:
@@ -97,7 +90,7 @@ class Executability:
 
 
 def rate_faults(
-    faults: MotionFaults, weights: Mapping[str, float] | None = None, motion_m: float | None = None
+    faults: MotionFaults, weights: Mapping[str, float] = MappingProxyType({}), motion_m: float | None = None
 ) -> Executability:
     """Return the score of fault ratios.
 
@@ -111,7 +104,6 @@ def rate_faults(
     Raises:
         UsageError: a weight is negative or of no term, or the expected length is not positive.
     """
-    weights = weights or {}
     odds = MOTION_M / max(faults.path_m, LEAST_M)
     if motion_m is not None:
         if not 0.0 < motion_m < np.inf:
@@ -145,16 +137,17 @@ def gather_faults(kinematics: KinematicResult, curves: Mapping[str, Array]) -> M
         curves: curves of the grounding, which have those of the anomalies.
     """
     track = kinematics.track
-    tracked = int(track.tracked.sum())
-    if tracked < max(MIN_TRACKED_FRAMES, MIN_TRACKED_FRACTION * len(track.t_s)):
+    if track.tracked.sum() < max(MIN_TRACKED_FRAMES, MIN_TRACKED_FRACTION * len(track.t_s)):
         return None
-    confidence = np.clip(track.confidence, _LEAST_CONFIDENCE, 1.0)
+    confidence = np.clip(track.confidence, 1e-6, 1.0)
     ratios = {
         name.removeprefix(FAULT): ratio
         for name, ratio in {**curves, **kinematics.curves}.items()
         if name.startswith(FAULT)
     }
     ratios["evidence"] = (1.0 / confidence - 1.0) ** (1.0 / _POWER)  # a factor of the confidence itself
+    if "repeated" in curves:
+        ratios["idle"] = _IDLE * curves["repeated"]
     path_m = kinematics.metrics.get("path_length_m")
     return MotionFaults(ratios=ratios, lost=~track.tracked, path_m=float(path_m or 0.0))
 
@@ -174,14 +167,15 @@ def motion_ratios(plant: ArmPlant, measured: PathMeasurements, violations: Itera
     estimate = estimate_track_noise(track.t_s, track.X_BG, track.tracked)
     jitter = np.hypot(estimate.position_m / MOST_NOISE.position_m, estimate.rotation_rad / MOST_NOISE.rotation_rad)
     contact_m = contact_tolerance(noise)
-    sigma = np.broadcast_to(path.sigma, path.q.shape)
-    half_range = 0.5 * (plant.upper - plant.lower)
-    joints = _approach(limit_margin(plant, path.joints.q) * half_range, np.fmax(_LIMIT_RAD, 3.0 * sigma))
+    margin_rad = 0.5 * (plant.upper - plant.lower) * limit_margin(plant, path.joints.q)
+    joints = _approach(margin_rad, np.fmax(_LIMIT_RAD, 3.0 * path.sigma))
     reach = pose_error(path.joints) / max(pose_tolerance(noise), MISS_M)
-    rates = {kind.value: _worst(np.abs(c.value) / c.limits) for kind, c in measured.checks.checks.items()}
+    rates = {
+        kind.value: np.fmax.reduce(np.abs(c.value) / c.limits, axis=-1) for kind, c in measured.checks.checks.items()
+    }
     ratios = {
         "reach": reach,
-        "joint_limit": _worst(joints),
+        "joint_limit": np.fmax.reduce(joints, axis=-1),
         "self_distance": _approach(path.own.distance_m + contact_m, contact_m),
         "table_distance": _approach(path.table.distance_m + contact_m, contact_m),
         **{name: np.where(np.isnan(ratio), reach, ratio) for name, ratio in rates.items()},  # out of reach: unknown
@@ -200,11 +194,6 @@ def _approach(margin: Array, scale: Array | float) -> Array:
     """Return the ratios of distances from a bound, negative beyond it: exp(-m) for m >= 0, 1 - m below, m in scales."""
     m = margin / scale
     return np.asarray(np.where(m > 0.0, np.exp(-np.maximum(m, 0.0)), 1.0 - m))
-
-
-def _worst(ratios: Array) -> Array:
-    """Return the greatest ratio (T,) of the joints (T, N); NaN where all are."""
-    return np.asarray(np.fmax.reduce(ratios, axis=-1))
 
 
 def _jumps(measured: PathMeasurements) -> Array:

@@ -10,14 +10,13 @@ import numpy as np
 
 from kinebench_drake.camera import CameraSource
 from kinebench_drake.environment.precision import network_precision
-from kinebench_drake.errors import InputError
 from kinebench_drake.formats.videos.find import find_samples
 from kinebench_drake.formats.videos.sample import VideoSample, VideoSamples
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.container import write_video
-from kinebench_drake.io.images import frame_files, read_image
+from kinebench_drake.io.images import frame_files
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.io.video import Video
 from kinebench_drake.metrics.recording_faults import fingerprint, idle_ends
@@ -97,21 +96,14 @@ def compare_extractors(track: GripperTrack, reference_X_BG: Array | None) -> dic
     }
 
 
-def compare_start(sample: VideoSample, grounding: "GroundingResult") -> dict[str, Array]:
-    """Return the curve with the fault ratio of a first frame that differs from its conditioning image; empty without.
-
-    Of tiled frames, and where the image cannot be read, nothing is compared.
-    """
+def compare_start(sample: VideoSample, video: Video, grounding: "GroundingResult") -> dict[str, Array]:
+    """Return the curve with the fault ratio of a first frame against its conditioning image; empty without one."""
     from kinebench_drake.grounding.camera.framing import apply_framing  # loads OpenCV
     from kinebench_drake.metrics.executability import FAULT, start_ratio
 
-    if sample.first_frame is None or grounding.panels is not None:
+    _, image = filmed_pictures(sample, video, grounding.panels)
+    if image is None:
         return {}
-    try:
-        image = read_image(sample.first_frame)
-    except InputError:
-        return {}
-    image = np.ascontiguousarray(image[:, ::-1]) if sample.mirrored else image
     ratio = start_ratio(grounding.frames[0], apply_framing(grounding.framing, image))
     return {FAULT + "start": np.full(len(grounding.track.t_s), ratio)}
 
@@ -260,7 +252,7 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
             row = row.measured(smoothness)
         if agreed is not None:
             row = row.extended(possible_cameras=len(grounding.possible))
-        start = compare_start(sample, grounding)
+        start = compare_start(sample, video, grounding)
         curves = {**grounding.measured.curves, **start}
         row = judge_row(row, kinematics, agreed=agreed, reasons=reasons, tracked=track.tracked, curves=curves)
         return VideoMeasurement(grounding=grounding, kinematics=kinematics, row=row, curves=start)

@@ -163,8 +163,6 @@ def test_wrong_weights_and_lengths_are_usage_errors() -> None:
             rate_faults(faults_of(reach=0.0), weights)
     with pytest.raises(UsageError, match="motion_m is 0"):
         rate_faults(faults_of(reach=0.0), motion_m=0.0)
-    with pytest.raises(UsageError, match="the ratios of a have shape"):
-        MotionFaults(ratios={"a": np.zeros(3)}, lost=np.zeros(4, dtype=bool), path_m=0.0)
 
 
 def test_another_picture_at_the_start_is_a_fault_and_a_smaller_one_is_not() -> None:
