@@ -5,8 +5,10 @@ from pathlib import Path
 
 import click
 
+from benchmarks import markdown
 from benchmarks.options import (
     COUNT,
+    EXAMPLES,
     EXISTING_FOLDER,
     FOLDER,
     baseline_option,
@@ -283,4 +285,47 @@ def precision(videos: tuple[Path, ...], work: Path, jobs: int, out: Path | None)
         raise SystemExit(1)
 
 
-COMMANDS = (precision, causes, loss, validity, extractors, generated, trajectories, painted, pairs)
+@click.command(epilog="\b\nExample:\n  python -m benchmarks hacks")
+@click.option(
+    "--videos", type=EXISTING_FOLDER, default=EXAMPLES, show_default=True, help="Clean clips with their truth."
+)
+@click.option("--limit", type=COUNT, help="Number of clips.  [default: all]", metavar="N")
+@out_option
+def hacks(videos: Path, limit: int | None, out: Path | None) -> None:
+    """Score clips that are no better than the honest one, beside it: none should pay more."""
+    from benchmarks import reward
+
+    scores = reward.measure_hacks(reward.read_clips(videos)[:limit], videos / "camera.json", log)
+    write_section(out, markdown.section("Hacks", reward.hack_lines(scores)))
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks executability --tracks results/tracks")
+@click.option(
+    "--videos", type=EXISTING_FOLDER, default=EXAMPLES, show_default=True, help="Clean clips with their truth."
+)
+@click.option("--limit", type=COUNT, help="Number of clips.  [default: all]", metavar="N")
+@click.option("--tracks", type=EXISTING_FOLDER, multiple=True, help="Folder of track files.")
+@out_option
+def executability(videos: Path, limit: int | None, tracks: tuple[Path, ...], out: Path | None) -> None:
+    """Score faults of eight sizes each in pictures and in tracks: the score should fall with the size."""
+    from benchmarks import reward
+
+    files = [file for folder in tracks for file in sorted(folder.glob("*.npz"))]
+    clips = reward.read_clips(videos)[:limit]
+    grades = [*reward.grade_tracks(files, log), *reward.grade_videos(clips, videos / "camera.json", log)]
+    write_section(out, markdown.section("Graded faults", reward.grade_lines(grades)))
+
+
+COMMANDS = (
+    hacks,
+    executability,
+    precision,
+    causes,
+    loss,
+    validity,
+    extractors,
+    generated,
+    trajectories,
+    painted,
+    pairs,
+)
