@@ -171,9 +171,8 @@ def _move(track: GripperTrack, shift_m: Array) -> GripperTrack:
 
 
 def _bump(track: GripperTrack) -> Array:
-    """Return weights (T, 1) of an excursion over the middle third of the frames."""
-    place = np.linspace(-1.5, 1.5, len(track.t_s))[:, None]
-    return np.where(np.abs(place) < 0.5, np.cos(np.pi * place) ** 2, 0.0)
+    """Return weights (T, 1) of an excursion over all frames."""
+    return np.sin(np.linspace(0.0, np.pi, len(track.t_s)))[:, None] ** 2
 
 
 def _lowered(track: GripperTrack, depth_m: float) -> GripperTrack:

@@ -153,7 +153,7 @@ def cosmos_result(scores: Sequence[Score], metadata: Mapping[str, Any], duration
 
 
 class RlinfReward(_Model):
-    """Reward model of RLinf: `class Reward(RlinfReward, BaseRewardModel)`, entered in `reward_model_registry`.
+    """Reward model of RLinf: `class Reward(RlinfReward, BaseRewardModel)`, entered in its registry of reward models.
 
     An observation is a history of images: `main_images` (B, T, H, W, 3) or (B, T, 3, H, W).
     """

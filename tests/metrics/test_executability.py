@@ -123,7 +123,7 @@ def test_a_clean_motion_is_worth_most_of_what_its_length_and_its_confidence_allo
     rated = rate(judge, reach_out(plant), motion_m=0.1)
     assert 0.75 < rated.score <= 0.95
     assert rated.terms["motion"] == 1.0
-    assert rated.terms["evidence"] == pytest.approx(0.95)
+    assert rated.terms["evidence"] == pytest.approx(0.95**0.5)
     assert set(rated.terms) <= {"coverage", *TERMS}
 
 
@@ -147,14 +147,15 @@ def faults_of(**ratios: float) -> MotionFaults:
 
 def test_the_formula_and_its_weights() -> None:
     assert rate_faults(faults_of(reach=0.0)).score == pytest.approx(1.0)
-    assert rate_faults(faults_of(reach=1.0)).score == pytest.approx(0.5)
-    assert rate_faults(faults_of(reach=1.0, jitter=1.0)).score == pytest.approx(0.25)
-    assert rate_faults(faults_of(reach=1.0, jump=1.0)).score == pytest.approx(0.25)
-    assert rate_faults(faults_of(reach=1.0, jump=1.0), {"jump": 0.0}).score == pytest.approx(0.5)
+    one = 2.0**-0.5
+    assert rate_faults(faults_of(reach=1.0)).score == pytest.approx(one)
+    assert rate_faults(faults_of(reach=1.0, jitter=1.0)).score == pytest.approx(0.5 * one)
+    assert rate_faults(faults_of(reach=1.0, jump=1.0)).score == pytest.approx(one * one)
+    assert rate_faults(faults_of(reach=1.0, jump=1.0), {"jump": 0.0}).score == pytest.approx(one)
     assert rate_faults(faults_of(reach=np.nan)).score == pytest.approx(1.0)
-    one = replace(faults_of(reach=0.0), lost=np.arange(10) == 5)
-    assert rate_faults(one).score == pytest.approx((1.0 - 0.3**0.5) ** 2)
-    assert rate_faults(one).terms["coverage"] == pytest.approx((1.0 - 0.3**0.5) ** 2)
+    lossy = replace(faults_of(reach=0.0), lost=np.arange(10) == 5)
+    assert rate_faults(lossy).score == pytest.approx((1.0 - 0.3 ** (1 / 6)) ** 2)
+    assert rate_faults(lossy).terms["coverage"] == pytest.approx(rate_faults(lossy).score)
 
 
 def test_wrong_weights_and_lengths_are_usage_errors() -> None:
