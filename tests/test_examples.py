@@ -1,6 +1,5 @@
 """The scripts of examples/ run and print what they promise."""
 
-import io
 import re
 import runpy
 import subprocess

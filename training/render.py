@@ -21,7 +21,16 @@ _ROBOTIQ = ShownGripper.ROBOTIQ
 SHOWN = {
     TrainedNetwork.GRIPPER: (*(_FRANKA,) * 15, _NONE),
     TrainedNetwork.ARM: (_OTHER, _OTHER, _NONE, _OTHER, _FRANKA),
-    TrainedNetwork.ROBOTIQ: (*(_ROBOTIQ,) * 6, _FRANKA, *(_ROBOTIQ,) * 5, _OTHER, *(_ROBOTIQ,) * 5, _NONE),
+    TrainedNetwork.ROBOTIQ: (
+        *(_ROBOTIQ,) * 4,
+        _FRANKA,
+        *(_ROBOTIQ,) * 4,
+        _OTHER,
+        *(_ROBOTIQ,) * 4,
+        _FRANKA,
+        *(_ROBOTIQ,) * 2,
+        _NONE,
+    ),
 }
 """Grippers of successive scenes; what is not the network's own gripper counts as background."""
 
