@@ -48,6 +48,7 @@ class ArmWorker:
         """Load the arm, without and with a payload that overloads it."""
         self._seed = seed
         self.plant = ArmPlant(load_robot(name))
+        self._faults = [fault for fault in FAULTS if fault not in self.plant.robot.limits.unstated]
         self._body = CollisionModel(self.plant)
         self._judge = TrackJudge(self.plant)
         middle = 0.5 * (self.plant.lower + self.plant.upper)
@@ -61,7 +62,7 @@ class ArmWorker:
     def __call__(self, index: int) -> ArmTrial:
         """Draw and judge trial number `index`."""
         rng = np.random.default_rng([self._seed, index])
-        fault = FAULTS[index // 2 % len(FAULTS)] if index % 2 else None
+        fault = self._faults[index // 2 % len(self._faults)] if index % 2 else None
         while (motion := self._draw(rng, fault)) is None:
             pass
         t_s, q, X_BG = motion

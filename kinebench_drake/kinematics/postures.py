@@ -19,6 +19,7 @@ _STARTS = 64  # starts of the numeric search for the first pose of a track
 _COARSE = 36  # greatest number of samples for which new starts are not tried for every pose,
 _EVERY = 8  # but for one of these, and where a posture of the pose before is lost
 _NEAR_STEPS = 8  # from a posture of the pose before
+_EXACT_RAD = 1e-6
 _FREE_TURN_RAD = 0.3  # of five joints: greater turns than those by which smoothing changes a pose are another posture's
 FAR_RAD = 0.15
 """Distance of the ends of an interval of the grid above which it is halved [rad]."""
@@ -152,11 +153,14 @@ class NumericSolver(PostureSolver):
         layers: list[Array] = []
         before = self._starts[:0]
         is_redundant = before.shape[1] > 6  # its postures may be moved into the limits
+        free_rad = _FREE_TURN_RAD
         for X in X_BG:
-            near = self._solve(X, before, bounded=is_redundant, iterations=_NEAR_STEPS)
+            near = self._solve(X, before, free_rad, bounded=is_redundant, iterations=_NEAR_STEPS)
             is_sure = len(near) == len(before) > 0 and samples <= _COARSE
             count = 0 if is_sure and len(layers) % _EVERY else max(8, samples // 4)
-            fresh = self._solve(X, self._starts[: count if layers else _STARTS], bounded=is_redundant)
+            fresh = self._solve(X, self._starts[: count if layers else _STARTS], free_rad, bounded=is_redundant)
+            if not layers and len(fresh) and self._turns(X, fresh).max() <= _EXACT_RAD:  # so are the other poses
+                free_rad = _EXACT_RAD
             postures: list[Array] = []
             for row in _listed(np.vstack([near, self._wrapped(fresh)])):
                 if all(np.abs(row - other).max() > DUPLICATE_RAD for other in postures):
@@ -166,14 +170,21 @@ class NumericSolver(PostureSolver):
             before = layers[-1][past <= DUPLICATE_RAD]
         return layers
 
-    def _solve(self, X: Array, q: Array, *, bounded: bool, iterations: int = ROWS_STEPS) -> Array:
-        """Return the postures (M, J) that reach the pose (4, 4) from `q` (N, J)."""
+    def _turns(self, X: Array, q: Array) -> Array:
+        """Return the angles (N,) [rad] between a pose (4, 4) and those at postures (N, J)."""
+        return pose_difference(self._plant.chain.poses(q, self._plant.robot.tcp_link), X)[1]
+
+    def _solve(self, X: Array, q: Array, free_rad: float, *, bounded: bool, iterations: int = ROWS_STEPS) -> Array:
+        """Return the postures (M, J) that reach the pose (4, 4) from `q` (N, J).
+
+        Of five joints those up to a free turn of `free_rad`, but where some reach the whole pose these alone.
+        """
         poses = np.broadcast_to(X, (len(q), 4, 4))
         q = _listed(solve_newton_rows(self._plant, poses, q, bounded=bounded, iterations=iterations))
         if q.shape[1] > 5 or not len(q):
             return q
-        turn = pose_difference(self._plant.chain.poses(q, self._plant.robot.tcp_link), X)[1]
-        return np.asarray(q[turn <= _FREE_TURN_RAD])
+        turn = self._turns(X, q)
+        return np.asarray(q[turn <= (_EXACT_RAD if turn.min() <= _EXACT_RAD else free_rad)])
 
     def _wrapped(self, q: Array) -> Array:
         """Return postures (N, J) with each angle within half a turn of the middle of its limits."""

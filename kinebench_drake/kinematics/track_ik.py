@@ -100,11 +100,11 @@ def settle_free_turns(plant: ArmPlant, X_BG: Array) -> Array:
     for i in np.flatnonzero(np.isfinite(X_BG).all(axis=(1, 2))):
         near, error = solve_newton(plant, X_BG[i], q, iterations=20)
         reaching = near[None]
-        if error > REACHED_M:
+        if error > REACHED_M or pose_difference(plant.forward(near), X_BG[i])[1] > ROTATION_TOLERANCE_RAD:
             starts = spread_postures(plant, _FREE_STARTS)
             postures = solve_newton_rows(plant, np.broadcast_to(X_BG[i], (len(starts), 4, 4)), starts)
             postures = postures[np.isfinite(postures).all(axis=-1)]
-            reaching = postures if len(postures) else reaching
+            reaching = np.vstack([near, postures]) if error <= REACHED_M or not len(postures) else postures
         past = limit_excess(plant, reaching).max(axis=-1)
         turns = pose_difference(plant.forward_path(reaching), X_BG[i])[1]
         q = reaching[np.argmin(turns + np.where(past > 0.0, np.pi + past, 0.0))]

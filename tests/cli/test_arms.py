@@ -88,7 +88,7 @@ def test_layouts_of_public_data_sets_are_audited(tmp_path, layout):
     assert json.loads((tmp_path / "out/results.json").read_text())["config"]["robot"] == name
 
 
-def test_a_robot_type_that_contradicts_the_option_is_asked_about(tmp_path):
+def test_a_robot_type_that_contradicts_the_option_gives_no_verdict(tmp_path):
     write_dataset(tmp_path / "set", load_robot("so100"), "so100", SO100, "rad")
     row = audit(tmp_path / "set", tmp_path / "out", robot="koch")
     assert row.feasible is None
