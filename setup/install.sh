@@ -85,7 +85,7 @@ install_packages() {
     "${pip[@]}" install -c "$constraints" "$("$venv/bin/python" -P kinebench_drake/environment/cv2_shim.py "$work")"
     # Separately: together with other packages pip prefers the CUDA build, with gigabytes of libraries, to a smaller one.
     "${pip[@]}" install -c "$constraints" "$(grep '^torch==' "$constraints")"
-    "${pip[@]}" install -c "$constraints" -e '.[dev,diffusers,hub,rerun]'
+    "${pip[@]}" install -c "$constraints" -e '.[dev,diffusers,rerun]'
     "$venv/bin/python" -m pip check
     mkdir -p "$(dirname "$stamp")"
     packages_key >"$stamp"

@@ -91,8 +91,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
 
     PATH is a video (mp4, mov, avi, gif, webm, mkv), a folder of videos or frame folders, a npy or npz file
     (T,H,W,3 uint8), an HDF5 file, a LeRobot dataset (v2 or v3), a folder of KineBench or Dream.exe, a submission to
-    WorldArena, a manifest.jsonl, or hf://datasets/ORG/NAME@REVISION of the Hugging Face Hub. A camera.json beside the
-    videos gives their camera (docs/formats.md).
+    WorldArena, or a manifest.jsonl. A camera.json beside the videos gives their camera (docs/formats.md).
 
     Clips that a model resized, cropped or stretched: save the picture that the model was given, not a frame of the
     clip, as ID.png beside ID.mp4. The change is undone then; without it such a clip takes minutes, and may stay

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 from kinebench_drake.errors import InputError, UsageError, count_noun
-from kinebench_drake.io.files import require_accessible
+from kinebench_drake.io.files import absence, require_accessible
 from kinebench_drake.results.store import ARTIFACTS, REQUESTS, RESULTS, RUN, SAMPLES
 
 
@@ -20,6 +20,16 @@ def run_of(path: Path) -> Path | None:
     real = path.resolve()
     written = (folder for folder in (real, real.parent) if folder.name in ARTIFACTS and is_output(folder.parent))
     return next((folder.parent for folder in written), None)
+
+
+def require_present(source: Path) -> None:
+    """Check that an input exists.
+
+    Raises:
+        UsageError: there is no such file or folder.
+    """
+    if not source.exists():
+        raise UsageError(f"{source}: {absence(source)}")
 
 
 def require_apart(out: Path, *inputs: Path) -> None:

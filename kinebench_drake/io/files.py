@@ -60,7 +60,7 @@ def require_accessible(path: Path, what: str) -> Path:
 def absence(path: Path) -> str:
     """Return why a path that the user named does not exist, for a message after its name."""
     if re.match(r"\w+:/", str(path)):  # a Path keeps one slash of the two
-        return "URLs are not read: download it first (hf://datasets/ORG/NAME is read)"
+        return "URLs are not read: download it first"
     if path.is_symlink() and not path.exists():
         return f"is a symlink to {os.readlink(path)}, which does not exist"
     return "is not a regular file" if path.exists() else "there is no such file or folder"

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from kinebench_drake.errors import InputError, name_options
-from kinebench_drake.formats.hub import find_source
 from kinebench_drake.formats.lerobot.dataset import INFO
 from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
@@ -85,7 +84,7 @@ class AuditConfig(SourceConfig):
         """Return the options with the arm that the data set names, unless the user does."""
         if self.robot != UNNAMED:
             return self
-        info = find_source(self.source) / INFO
+        info = self.source / INFO
         named = as_type(read_object(info).get("robot_type"), str) if info.is_file() else None
         return replace(self, robot=find_arm(named or "") or PANDA)
 

@@ -13,7 +13,6 @@ from types import UnionType
 from typing import Annotated, Any, cast, get_args, get_origin
 
 from kinebench_drake.errors import UsageError, member_of, option_of
-from kinebench_drake.formats.hub import hub_address, is_hub
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.results.metadata import Shard
 
@@ -113,7 +112,7 @@ def _to_json(value: Any) -> Json:
     if isinstance(value, Enum):
         return cast(Json, value.value)
     if isinstance(value, Path):
-        return hub_address(value) if is_hub(value) else value.resolve().name
+        return value.resolve().name
     if isinstance(value, tuple):
         return list(value)
     return str(value) if isinstance(value, Shard) else cast(Json, value)

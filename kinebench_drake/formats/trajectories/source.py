@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, UsageError, cause
-from kinebench_drake.formats.folders import describe_ignored, list_suffixes, require_apart, walk
+from kinebench_drake.formats.folders import describe_ignored, list_suffixes, require_apart, require_present, walk
 from kinebench_drake.formats.hdf5 import list_hdf5_trajectories, open_hdf5_table
-from kinebench_drake.formats.hub import find_source
 from kinebench_drake.formats.kinebench import is_summary, open_executed_table
 from kinebench_drake.formats.lerobot.reader import (
     is_lerobot,
@@ -224,7 +223,7 @@ def find_trajectories(
         UsageError: there is nothing to read, a dataset has no suitable column, or a run into `out` would change its
             inputs.
     """
-    source = find_source(source)
+    require_present(source)
     if out is not None:
         require_apart(out, source)
     if not source.is_dir():

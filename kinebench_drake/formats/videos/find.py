@@ -9,8 +9,15 @@ from pathlib import Path
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.formats import dream_exe, hdf5, kinebench, manifest, worldarena
 from kinebench_drake.formats.camerafile import CAMERA_NAME, CameraLookup
-from kinebench_drake.formats.folders import describe_ignored, is_output, list_suffixes, require_apart, run_of, walk
-from kinebench_drake.formats.hub import find_source
+from kinebench_drake.formats.folders import (
+    describe_ignored,
+    is_output,
+    list_suffixes,
+    require_apart,
+    require_present,
+    run_of,
+    walk,
+)
 from kinebench_drake.formats.lerobot import reader as lerobot
 from kinebench_drake.formats.samples import finish_samples
 from kinebench_drake.formats.videos.sample import Search, VideoSample, VideoSamples
@@ -80,7 +87,7 @@ def find_samples(
         UsageError: there is nothing to read, the choice of the camera is ambiguous, a `camera.json` is unusable, or a
             run into `out` would change its inputs.
     """
-    source = find_source(source)
+    require_present(source)
     if (run := run_of(source)) is not None:
         raise UsageError(f"{source}: was written by a run (output folder {run.name}); name the videos that it scored")
     if out is not None:
