@@ -1,9 +1,8 @@
 """Overrides of grounding stages: masks, depth and poses of other programs, and where they are read from.
 
-Depth comes from files or from another program: a sensor, a simulator, MoGe-2, or a plug-in class.
+Depth comes from files or from another program: a sensor, a simulator, or a plug-in class.
 """
 
-import importlib.util
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -38,7 +37,6 @@ _NEAR_M = 0.02
 """Least median depth of a scene with a robot [m]."""
 _FAR_M = 50.0
 """Greatest median depth of a scene with a robot [m]."""
-_MOGE = "moge:"
 TRUTH = "truth"
 TRACKS = "tracks"
 """Subfolder of a demonstration folder, and of the output folder of another run."""
@@ -106,72 +104,18 @@ class DepthSource(Protocol):
         ...
 
 
-class MogeDepth:
-    """Depth by a checkpoint of MoGe-2, given the camera's field of view; on a GPU if there is one."""
-
-    def __init__(self, checkpoint: Path) -> None:
-        """Load the network from the file `checkpoint`, such as model.pt."""
-        import torch
-        from moge.model.v2 import MoGeModel
-
-        self._device = "cuda" if torch.cuda.is_available() else "cpu"
-        self._model = MoGeModel.from_pretrained(str(checkpoint)).to(self._device).eval()
-
-    def depth(self, frames: NDArray[np.uint8], camera: Camera) -> NDArray[np.floating]:
-        """Estimate depth (T, H, W) of frames (T, H, W, 3) [m]; 0 where the network finds no surface."""
-        import torch
-
-        fov_x_deg = float(np.degrees(2.0 * np.arctan(camera.width / (2.0 * camera.fx))))
-        depth_m = np.zeros(frames.shape[:3], np.float32)
-        for i, frame in enumerate(frames):
-            image = torch.from_numpy(frame / np.float32(255.0)).permute(2, 0, 1).to(self._device)
-            output = self._model.infer(image, fov_x=fov_x_deg, use_fp16=self._device == "cuda")
-            depth_m[i] = np.nan_to_num(output["depth"].float().cpu().numpy(), nan=0.0, posinf=0.0)  # inf: no surface
-        return depth_m
-
-
 @dataclass(frozen=True, slots=True)
 class DepthPlugIn:
     """Depth estimator of another program by its name on the command line; picklable, unlike the estimator."""
 
     spec: str
-    """`moge:CHECKPOINT` or `module:Class`."""
-
-    @property
-    def checkpoint(self) -> Path | None:
-        """Checkpoint of MoGe-2; None for a class."""
-        return Path(self.spec.removeprefix(_MOGE)) if self.spec.startswith(_MOGE) else None
-
-    @property
-    def name(self) -> str:
-        """The spec for results: a checkpoint by its file name only."""
-        return self.spec if self.checkpoint is None else _MOGE + self.checkpoint.name
+    """`module:Class` or `FILE.py:Class`."""
 
     @property
     def files(self) -> list[Path]:
-        """Files that shape the depth, as far as known: the checkpoint, or the file of the class's module."""
-        if self.checkpoint is not None:
-            return [self.checkpoint]
-        file = getattr(sys.modules[self._load_class().__module__], "__file__", None)
+        """File of the class's module, if it has one."""
+        file = getattr(sys.modules[self.load_class().__module__], "__file__", None)
         return [Path(file)] if file else []
-
-    def check(self) -> None:
-        """Check that everything the spec names exists, without loading a network.
-
-        Raises:
-            UsageError: checkpoint, package, module or class does not exist.
-        """
-        if self.checkpoint is None:
-            self._load_class()
-        elif not self.checkpoint.is_file():
-            raise UsageError(
-                f"$depth {self.spec}: there is no file {self.checkpoint}; expected a MoGe-2 checkpoint, such as "
-                "model.pt of Ruicheng/moge-2-vits-normal on Hugging Face"
-            )
-        elif not _is_importable("moge.model.v2"):
-            raise UsageError(
-                f"$depth {self.spec}: MoGe-2 is not installed; pip install git+https://github.com/microsoft/MoGe.git"
-            )
 
     @lru_cache(maxsize=4)  # noqa: B019 - once per process, for few specs
     def load(self) -> DepthSource:
@@ -181,9 +125,9 @@ class DepthPlugIn:
             UsageError: it does not exist.
             SetupError: it cannot be created.
         """
-        self.check()
+        kind = self.load_class()
         try:
-            return cast(DepthSource, self._load_class()()) if self.checkpoint is None else MogeDepth(self.checkpoint)
+            return cast(DepthSource, kind())
         except Exception as error:  # another program's code, which may raise anything
             raise SetupError(f"$depth {self.spec}: cannot be created ({type(error).__name__}: {error})") from error
 
@@ -196,20 +140,18 @@ class DepthPlugIn:
             SetupError: it cannot be created.
         """
         depth_m: Array = np.asarray(self.load().depth(np.asarray(frames), camera), dtype=np.float64)
-        with errors_naming(f"$depth {self.name}"):
+        with errors_naming(f"$depth {self.spec}"):
             return ExternalDepth(depth_m=_checked_depth(depth_m), exact=exact)
 
-    def _load_class(self) -> type:
+    def load_class(self) -> type:
+        """Import the class, without creating the estimator.
+
+        Raises:
+            UsageError: module or class does not exist.
+        """
         if not is_class_name(self.spec):
-            raise UsageError(f"$depth {self.spec}: expected a folder, moge:CHECKPOINT or module:Class")
+            raise UsageError(f"$depth {self.spec}: expected a folder, module:Class or FILE.py:Class")
         return load_class(self.spec, argument="depth", method="depth", arguments="frames, camera")
-
-
-def _is_importable(module: str) -> bool:
-    try:
-        return module in sys.modules or importlib.util.find_spec(module) is not None
-    except (ImportError, ValueError):
-        return False
 
 
 def find_entry(folder: Path, names: Sequence[str], places: Sequence[str] = (TRUTH,)) -> Path:
@@ -241,7 +183,7 @@ class Overrides:
     masks: Path | None = None
     """Folder of masks."""
     depth: str | None = None
-    """Folder of depth, `moge:CHECKPOINT` or `module:Class`."""
+    """Folder of depth, `module:Class` or `FILE.py:Class`."""
     poses: Path | None = None
     """Folder of poses."""
     depth_exact: bool = False
@@ -259,7 +201,7 @@ class Overrides:
             if folder is not None and not folder.is_dir():
                 raise UsageError(f"${name} {folder}: there is no such folder")
         if self._plug_in is not None:
-            self._plug_in.check()
+            self._plug_in.load_class()
 
     @property
     def folders(self) -> dict[str, Path]:
@@ -273,7 +215,7 @@ class Overrides:
         """Source of each replaced stage, for results: without absolute paths."""
         names = {stage: folder.resolve().name for stage, folder in self.folders.items()}
         if self._plug_in is not None:
-            names["depth"] = self._plug_in.name
+            names["depth"] = self._plug_in.spec
         return dict(sorted(names.items()))
 
     def files(self, video: Sequence[str]) -> list[Path]:

@@ -109,7 +109,7 @@ def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     epilog=(
         "\b\nExamples:\n"
         "  kinebench-drake ground videos/ --out tracks/ --overlay\n"
-        "  kinebench-drake ground videos/ --out tracks/ --masks yolo/ --depth moge:model.pt\n"
+        "  kinebench-drake ground videos/ --out tracks/ --masks yolo/ --depth my_depth:Estimator\n"
         "  kinebench-drake ground videos/ --out tracks/ --poses foundationpose/\n"
         "  kinebench-drake ground videos/ --out tracks/ --format lerobot-v3 --frame-period 0.2"
     ),

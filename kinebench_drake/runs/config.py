@@ -314,8 +314,8 @@ class ScoreConfig(SourceConfig):
     depth: Annotated[
         str | None,
         Option(
-            "Metric depth that replaces the network's: files, MoGe-2 or a class of yours.",
-            metavar="DIR|moge:CHECKPOINT|module:Class",
+            "Metric depth that replaces the network's: files, or a class of yours.",
+            metavar="DIR|module:Class",
         ),
     ] = None
     poses: Annotated[

@@ -143,8 +143,7 @@ def test_mask_images_inside_the_source_folder_are_not_scored_as_videos(film, con
     [
         (("--masks", "nowhere"), "--masks nowhere: there is no such folder"),
         (("--poses", "nowhere"), "--poses nowhere: there is no such folder"),
-        (("--depth", "nowhere"), "expected a folder, moge:CHECKPOINT or module:Class"),
-        (("--depth", "moge:nowhere.pt"), "there is no file nowhere.pt"),
+        (("--depth", "nowhere"), "expected a folder, module:Class or FILE.py:Class"),
         (("--depth", "no_such_module_at_all:Depth"), "no module 'no_such_module_at_all'"),
         (("--depth-exact",), "--depth-exact"),
     ],

@@ -13,6 +13,7 @@ from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.grounding.overrides.overrides import DepthPlugIn
 
+EXAMPLE = Path(__file__).parents[3] / "examples" / "moge_depth.py"
 FRAMES = np.random.default_rng(0).integers(0, 255, (3, 48, 64, 3), dtype=np.uint8)
 
 CLASS = """
@@ -76,13 +77,12 @@ def test_a_depth_class_is_loaded_from_the_working_directory(here: Path, camera: 
         ("a_depth_of_mine:Blue", "has no Blue"),
         ("a_depth_of_mine:NoMethod", "method depth"),
         ("a_depth_of_mine:np", "method depth"),
-        ("moge:none.pt", "no file none.pt"),
         ("nowhere", "module:Class"),
     ],
 )
 def test_missing_and_invalid_depth_plug_ins_are_refused_on_check(spec: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        DepthPlugIn(spec).check()
+        DepthPlugIn(spec).load_class()
 
 
 @pytest.mark.usefixtures("here")
@@ -130,22 +130,21 @@ def moge(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     return install
 
 
-def test_moge_runs_with_the_cameras_field_of_view_and_reports_if_it_is_not_installed(
-    moge: Callable[[], None], tmp_path: Path, camera: Camera
+def test_the_example_runs_moge_with_the_cameras_field_of_view(
+    moge: Callable[[], None], tmp_path: Path, camera: Camera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     checkpoint = tmp_path / "model.pt"
-    checkpoint.touch()
-    spec = f"moge:{checkpoint}"
-    with pytest.raises(UsageError, match="not installed; pip install"):
-        DepthPlugIn(spec).check()
+    monkeypatch.setenv("MOGE_CHECKPOINT", str(checkpoint))
+    plug_in = DepthPlugIn(f"{EXAMPLE}:MogeDepth")
+    with pytest.raises(UsageError, match="there is no module 'moge'"):
+        plug_in.load_class()
     moge()
-    depth = DepthPlugIn(spec).estimate(FRAMES, camera)
+    depth = plug_in.estimate(FRAMES, camera)
     red = FRAMES[..., 0] / 255
     np.testing.assert_allclose(depth.depth_m, np.where(red > 0.2, red, 0.0), atol=1e-6)
     assert not depth.exact
-    model = DepthPlugIn(spec).load()._model  # type: ignore[attr-defined]
+    model = plug_in.load()._model  # type: ignore[attr-defined]
     assert model.checkpoint == str(checkpoint)
     assert [a.image.shape for a in model.asked] == [(3, 48, 64)] * 3
     assert [a.fov_x for a in model.asked] == pytest.approx([np.degrees(2 * np.arctan(0.5))] * 3)
-    assert DepthPlugIn(spec).name == "moge:model.pt"
-    assert DepthPlugIn(spec).files == [checkpoint]
+    assert plug_in.files == [EXAMPLE]
