@@ -1,11 +1,11 @@
 """The Python interface (docs/api.md): functions and a class that return typed objects.
 
-`score_videos`, `audit_trajectories` and `run_suite` fill an output folder as their commands do; `read_results`,
-`read_rows` and `read_track` read it. `ground_video` and `audit_trajectory` process one sample and write nothing, nor
-does `Scorer`, which keeps its models between clips. Arguments have the names of the commands' options.
+`score_videos`, `audit_trajectories` and `run_suite` fill an output folder as their commands do; `read_rows` and
+`read_track` read it. `ground_video` and `audit_trajectory` process one sample and write nothing, nor does `Scorer`,
+which keeps its models between clips. Arguments have the names of the commands' options.
 """
 
-from kinebench_drake.api.runs import audit_trajectories, read_results, run_suite, score_videos
+from kinebench_drake.api.runs import audit_trajectories, run_suite, score_videos
 from kinebench_drake.api.scorer import Score, Scorer
 from kinebench_drake.api.single import audit_trajectory, ground_video
 from kinebench_drake.camera import Camera
@@ -27,7 +27,6 @@ __all__ = [
     "audit_trajectories",
     "audit_trajectory",
     "ground_video",
-    "read_results",
     "read_rows",
     "read_track",
     "read_video",

@@ -1,22 +1,17 @@
-"""Runs over many samples into an output folder, as the commands make them; its rows as a table."""
+"""Runs over many samples into an output folder, as the commands make them."""
 
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from kinebench_drake.errors import KinebenchError, name_arguments
-from kinebench_drake.results.store import require_output
 from kinebench_drake.runs import audit, score
 from kinebench_drake.runs.audit import AuditConfig
 from kinebench_drake.runs.benchmark_registry import load_benchmark
 from kinebench_drake.runs.config import ScoreConfig
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary
-
-if TYPE_CHECKING:
-    import pyarrow
 
 PathName: TypeAlias = str | PathLike[str]
 
@@ -116,27 +111,6 @@ def run_suite(
     """
     options |= {"suite": suite, "world_model": world_model, "out": out}
     return load_benchmark().run(_without_none(options), observer or Warner())
-
-
-@own_arguments()
-def read_results(out: PathName) -> "pyarrow.Table":
-    """Read the samples of an output folder as a table, the worst first.
-
-    Columns: labels, verdict, verdict in words, trust, kinds of faults joined by "; ", and every metric, null where not
-    measured.
-
-    Raises:
-        UsageError: it is no output folder.
-        InputError: its files are broken.
-
-    Example:
-        pyarrow.parquet.write_table(read_results("results"), "samples.parquet")
-    """
-    from kinebench_drake.report.sample_table import read_samples
-
-    require_output(Path(out))
-    table: pyarrow.Table = read_samples(Path(out))
-    return table
 
 
 class Warner(NullRunObserver):
