@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-from kinebench_drake.errors import UsageError
-from kinebench_drake.formats.manifest import NAME, read_manifest
 from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from kinebench_drake.suites.worldmodels.media import check_video
 from kinebench_drake.suites.worldmodels.spec import Options, Spec
@@ -11,7 +9,7 @@ from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModel, W
 
 
 class FolderModel(WorldModel):
-    """World model that looks up videos in a folder, by the id of a manifest row or else by file name.
+    """World model that looks up videos in a folder by file name.
 
     A video or folder of frames has the episode's id as its stem. Later rounds have it followed by `_r1`, `_r2`, ...;
     the first one may have `_r0`. Further samples of an episode have ids of their own, `ID_k1`, `ID_k2`, ....
@@ -23,16 +21,6 @@ class FolderModel(WorldModel):
         if not spec.rest or not self._folder.is_dir():
             raise spec.unusable("expected folder:DIR with a folder that is there")
         self.name = options.name or self._folder.name or "folder"
-        path = self._folder / NAME
-        try:
-            lines = read_manifest(path) if path.is_file() else []
-        except UsageError as error:
-            raise spec.unusable(str(error)) from None
-        if problem := next((line.problem for line in lines if line.problem is not None), None):
-            raise spec.unusable(f"{NAME}: {problem}")
-        self._listed: dict[str, list[Path]] = {}
-        for entry in (line.entry for line in lines if line.entry is not None and line.entry.id is not None):
-            self._listed.setdefault(str(entry.id), []).append(self._folder / entry.video)
 
     chooses_length = True
     """The videos are finished."""
@@ -44,7 +32,7 @@ class FolderModel(WorldModel):
         if not matches:
             raise WorldModelError(
                 f"the folder has no video of {name}; expected {name}.mp4 (or mov, avi, gif, "
-                f"webm, mkv, a folder of frames), or a row of {NAME} with its id and video"
+                "webm, mkv, a folder of frames)"
             )
         if len(matches) > 1:
             names = ", ".join(path.name for path in matches)
@@ -57,10 +45,8 @@ class FolderModel(WorldModel):
         return [inner for path in matches for inner in (sorted(path.iterdir()) if path.is_dir() else [path])]
 
     def _find(self, episode: str, number: int) -> list[Path]:
-        """Return the videos of a round: those of the manifest that exist, else those of its name."""
+        """Return the videos of a round."""
         for name in [f"{episode}_r{number}"] if number else [episode, f"{episode}_r0"]:
-            if matches := [path for path in dict.fromkeys(self._listed.get(name, ())) if path.exists()]:
-                return matches
             files = (self._folder / f"{name}{suffix}" for suffix in sorted(VIDEO_SUFFIXES))
             if matches := [path for path in (*files, self._folder / name) if path.is_file() or _is_frames(path)]:
                 return matches
@@ -72,8 +58,6 @@ class FolderModel(WorldModel):
             raise WorldModelError(f"the video {path.name} lies outside the folder; copy it into it")
         if not real.is_dir():
             check_video(real)
-        elif not _is_frames(real):
-            raise WorldModelError(f"{path.name} is a folder without images (png, jpg)")
         return real
 
 

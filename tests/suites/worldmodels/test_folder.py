@@ -1,4 +1,3 @@
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,10 +20,6 @@ def answer(videos: Path, request: Request) -> Path:
     return FolderModel(parse(f"folder:{videos}")).generate(request, videos.parent / "out")
 
 
-def manifest(videos: Path, *rows: dict) -> None:
-    (videos / "manifest.jsonl").write_text("\n".join(json.dumps(row) for row in rows) + "\n\n")
-
-
 @pytest.mark.parametrize("name", ["StackCube-v1_s0003.mp4", "StackCube-v1_s0003.webm", "StackCube-v1_s0003_r0.mov"])
 def test_videos_are_matched_by_id(videos: Path, request_: Request, film: bytes, name: str) -> None:
     (videos / name).write_bytes(film)
@@ -43,16 +38,6 @@ def test_frame_folders_are_matched_by_id(videos: Path, request_: Request) -> Non
     assert answer(videos, request_) == folder
 
 
-def test_the_manifest_takes_precedence_over_file_names(videos: Path, request_: Request, film: bytes) -> None:
-    for name in ("StackCube-v1_s0003.mp4", "a.mp4", "b.mp4"):
-        (videos / name).write_bytes(film)
-    other = {"video": "b.mp4", "task": "StackCube-v1", "seed": 3, "id": "StackCube-v1_s0003_obstacles"}
-    manifest(videos, {"video": "a.mp4", "id": request_.episode}, {"video": "b.mp4"}, other)
-    assert answer(videos, request_) == videos / "a.mp4"
-    manifest(videos, other, {"video": "never-made.mp4", "id": request_.episode})
-    assert answer(videos, request_) == videos / "StackCube-v1_s0003.mp4"
-
-
 def test_several_videos_of_one_episode_are_refused(videos: Path, request_: Request, film: bytes) -> None:
     for suffix in ("mp4", "gif"):
         (videos / f"{request_.episode}.{suffix}").write_bytes(film)
@@ -63,11 +48,6 @@ def test_several_videos_of_one_episode_are_refused(videos: Path, request_: Reque
 def test_videos_outside_the_folder_are_refused(videos: Path, request_: Request, film: bytes) -> None:
     outside = videos.parent / "outside.mp4"
     outside.write_bytes(film)
-    for video in ("../outside.mp4", str(outside), "."):
-        manifest(videos, {"video": video, "id": request_.episode})
-        with pytest.raises(WorldModelError, match="outside the folder"):
-            answer(videos, request_)
-    (videos / "manifest.jsonl").unlink()
     (videos / f"{request_.episode}.mp4").symlink_to(outside)
     with pytest.raises(WorldModelError, match="outside the folder"):
         answer(videos, request_)
@@ -104,8 +84,6 @@ def test_clips_of_an_earlier_run_can_be_replayed(videos: Path, request_: Request
     for round in range(2):
         (videos / f"{request_.episode}_r{round}.mp4").write_bytes(film)
         assert answer(videos, replace(request_, round=round)).name == f"{request_.episode}_r{round}.mp4"
-    manifest(videos, {"video": f"{request_.episode}_r0.mp4", "id": f"{request_.episode}_r1"})
-    assert answer(videos, replace(request_, round=1)).name == f"{request_.episode}_r0.mp4"
 
 
 def test_a_damaged_video_is_refused(videos: Path, request_: Request) -> None:
@@ -114,13 +92,7 @@ def test_a_damaged_video_is_refused(videos: Path, request_: Request) -> None:
         answer(videos, request_)
 
 
-def test_unusable_folders_and_manifests_are_usage_errors(videos: Path) -> None:
+def test_unusable_folders_are_usage_errors(videos: Path) -> None:
     for spec in ("folder:", f"folder:{videos}/none"):
         with pytest.raises(UsageError, match="expected folder:DIR"):
             FolderModel(parse(spec))
-    (videos / "manifest.jsonl").write_text('{"video": "a"}\n[]\n')
-    with pytest.raises(UsageError, match="line 2 is a list"):
-        FolderModel(parse(f"folder:{videos}"))
-    (videos / "manifest.jsonl").write_bytes(b"\xff")
-    with pytest.raises(UsageError, match="cannot be read"):
-        FolderModel(parse(f"folder:{videos}"))
