@@ -109,7 +109,7 @@ def test_flat_collision_mesh_is_refused(write_arm: Write, tmp_path: Path) -> Non
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["", "plain text", "<robot><link></robot>", "<mujoco/>"])
+@pytest.mark.parametrize("text", ["", "plain text", "<robot><link></robot>", "<sdf/>"])
 def test_a_file_that_is_no_urdf_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
     path = tmp_path / "wrong.urdf"
     path.write_text(text)
