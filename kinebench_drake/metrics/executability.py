@@ -9,6 +9,7 @@ large faults differ, too. A lost frame is worth as little as the worst fault.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from math import prod
 from types import MappingProxyType
 
 import cv2
@@ -45,6 +46,8 @@ MOST_NOISE = TrackNoise(position_m=0.015, rotation_rad=float(np.deg2rad(7.5)))
 MOTION_M = 0.1
 """Path length of a motion that halves the score where no path is expected [m]: less than a third of those of the
 suites' experts."""
+_DETOUR = 0.1
+"""Weight of a path beyond the expected one: twice its length costs 9 %."""
 LEAST_M = 1e-6
 """Path length that stands for none [m]."""
 _LIMIT_RAD = 0.05
@@ -96,7 +99,8 @@ def rate_faults(
 ) -> Executability:
     """Return the score of fault ratios.
 
-    The term `motion` multiplies the score by L / (L + MOTION_M) for a path of length L, or by min(1, L / `motion_m`).
+    The term `motion` multiplies the score by L / (L + MOTION_M) for a path of length L, or, with x = L / `motion_m`,
+    by x up to 1 and by 1 / (0.9 + x / 10) beyond.
 
     Args:
         faults: fault ratios of the clip.
@@ -110,7 +114,8 @@ def rate_faults(
     if motion_m is not None:
         if not 0.0 < motion_m < np.inf:
             raise UsageError(f"motion_m is {motion_m}, expected a length in metres above 0")
-        odds = max(motion_m / max(faults.path_m, LEAST_M) - 1.0, 0.0)
+        share = max(faults.path_m, LEAST_M) / motion_m
+        odds = max(1.0 / share - 1.0, _DETOUR * (share - 1.0))
     ratios = {**faults.ratios, "motion": np.full(len(faults.lost), odds ** (1.0 / _POWER))}
     for name, weight in weights.items():
         if name not in TERMS or not 0.0 <= weight < np.inf:
@@ -123,11 +128,14 @@ def rate_faults(
 
     whole = {name: float(worth.pop(name)[0]) ** _POWER for name in _OF_THE_CLIP if name in worth}
     frames = np.prod([value ** weights.get(name, 1.0) for name, value in worth.items()], axis=0)
-    factor = np.prod([value ** weights.get(name, 1.0) for name, value in whole.items()])
-    terms = {name: rate(value[~faults.lost]) for name, value in worth.items()}
     return Executability(
-        score=float(factor) * rate(np.where(near, 0.0, frames)),
-        terms={"coverage": rate(np.where(near, 0.0, 1.0)), **terms, **whole},
+        score=prod(value ** weights.get(name, 1.0) for name, value in whole.items())
+        * rate(np.where(near, 0.0, frames)),
+        terms={
+            "coverage": rate(np.where(near, 0.0, 1.0)),
+            **{name: rate(value[~faults.lost]) for name, value in worth.items()},
+            **whole,
+        },
     )
 
 
@@ -150,8 +158,9 @@ def gather_faults(kinematics: KinematicResult, curves: Mapping[str, Array]) -> M
     ratios["evidence"] = (1.0 / confidence - 1.0) ** (1.0 / _POWER)
     if "repeated" in curves:
         ratios["idle"] = _IDLE * curves["repeated"]
-    path_m = kinematics.metrics.get("path_length_m")
-    return MotionFaults(ratios=ratios, lost=~track.tracked, path_m=float(path_m or 0.0))
+    return MotionFaults(
+        ratios=ratios, lost=~track.tracked, path_m=float(kinematics.metrics.get("path_length_m") or 0.0)
+    )
 
 
 def start_ratio(frame: NDArray[np.uint8], image: NDArray[np.uint8]) -> float:

@@ -104,8 +104,11 @@ def compare_start(sample: VideoSample, video: Video, grounding: "GroundingResult
     _, image = filmed_pictures(sample, video, grounding.panels)
     if image is None:
         return {}
-    ratio = start_ratio(grounding.frames[0], apply_framing(grounding.framing, image))
-    return {FAULT + "start": np.full(len(grounding.track.t_s), ratio)}
+    return {
+        FAULT + "start": np.full(
+            len(grounding.track.t_s), start_ratio(grounding.frames[0], apply_framing(grounding.framing, image))
+        )
+    }
 
 
 def judge_possible(tracks: Sequence[GripperTrack], tools: Resources, table_height_m: float) -> "KinematicResult | None":

@@ -120,9 +120,9 @@ def test_the_score_falls_with_the_size_of_a_fault_without_ties(plant: ArmPlant, 
 def test_a_clean_motion_is_worth_most_of_what_its_length_and_its_confidence_allow(
     plant: ArmPlant, judge: TrackJudge
 ) -> None:
-    rated = rate(judge, reach_out(plant), motion_m=0.1)
-    assert 0.75 < rated.score <= 0.95
-    assert rated.terms["motion"] == 1.0
+    rated = rate(judge, reach_out(plant), motion_m=0.67)
+    assert 0.75 < rated.score <= 1.0
+    assert rated.terms["motion"] > 0.98
     assert rated.terms["evidence"] == pytest.approx(0.95**0.5)
     assert set(rated.terms) <= {"coverage", *TERMS}
 
@@ -133,6 +133,14 @@ def test_less_than_the_expected_path_is_worth_its_share(plant: ArmPlant, judge: 
     shares = [rate(judge, track, motion_m=length).score / whole for length in (1.0, 2.0, 4.0)]
     assert shares[0] / shares[1] == pytest.approx(2.0)
     assert shares[1] / shares[2] == pytest.approx(2.0)
+
+
+def test_a_detour_costs_a_part_of_its_excess(plant: ArmPlant, judge: TrackJudge) -> None:
+    track = reach_out(plant)
+    faults = gather_faults(judge.judge_poses(track), {})
+    assert faults is not None
+    terms = [rate_faults(faults, motion_m=faults.path_m / times).terms["motion"] for times in (1.0, 2.0, 11.0)]
+    assert terms == pytest.approx([1.0, 1.0 / 1.1, 0.5])
 
 
 def test_too_few_frames_give_no_score(plant: ArmPlant, judge: TrackJudge) -> None:
