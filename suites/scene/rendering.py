@@ -47,21 +47,27 @@ _INWARDS = 0.1
 """Share of the way from a corner to the middle of its triangle, where its normal is looked up."""
 
 
-@cache
 def software_shaders() -> ShaderConfig:
     """Return ManiSkill's "minimal" shaders without needless work, for scenes without an environment map.
 
     Where SAPIEN's files are not as expected they stay as they are.
     """
     minimal = PREBUILT_SHADER_CONFIGS["minimal"]
-    set_shader_pack(minimal)  # it sets the formats of the images, for all that follow
+    set_shader_pack(minimal)  # it sets the formats of the images, which another scene of the process may have changed
+    pack = _lean_pack()
+    return minimal if pack is None else replace(minimal, shader_pack=str(pack))
+
+
+@cache
+def _lean_pack() -> Path | None:
+    """Return the folder of the shaders, written once into the cache folder; None where SAPIEN's are not as expected."""
     packs = Path(sapien.__file__).parent / "vulkan_shader"
     sources = (path for name in ("common", "minimal") for path in sorted((packs / name).iterdir()))
     files = {path.relative_to(packs): path.read_text() for path in sources}
     shadow = Path("common/shadow.glsl")
     color = Path("minimal/gbuffer.frag")
     if "PCF_SampleCount = 25;" not in files.get(shadow, "") or color not in files:
-        return minimal
+        return None
     files[shadow] = _SHADOW_PATTERN.sub(_SHADOW, files[shadow])
     files[color] = _ENVIRONMENT_PATTERN.sub("", files[color])
     digest = hashlib.sha256("".join(files.values()).encode()).hexdigest()[:16]
@@ -71,7 +77,7 @@ def software_shaders() -> ShaderConfig:
             for name, text in files.items():
                 (work / name).parent.mkdir(exist_ok=True)
                 (work / name).write_text(text)
-    return replace(minimal, shader_pack=str(folder / color.parent))
+    return folder / color.parent
 
 
 def simplify_arm(robot: Any) -> None:
