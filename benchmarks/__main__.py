@@ -32,27 +32,6 @@ def schema() -> None:
     write_files(Path.cwd())
 
 
-@main.command(epilog="\b\nExample:\n  python -m benchmarks equivalence results-before results-after")
-@click.argument("before", type=EXISTING_FOLDER)
-@click.argument("after", type=EXISTING_FOLDER)
-def equivalence(before: Path, after: Path) -> None:
-    """Compare two output folders of score, audit, ground or suite run; exit 1 if results differ.
-
-    Everything must be byte-equal but for hashes of the code, versions, host, wall times, the wording of messages,
-    report.html and replays.
-    """
-    from benchmarks.equivalence import compare_folders
-
-    result = compare_folders(before, after)
-    for line in result.differences:
-        click.echo(line)
-    click.echo(
-        f"{len(result.equal)} files equal, {len(result.uncompared)} not compared, {len(result.differences)} differences"
-    )
-    if result.differences:
-        raise SystemExit(1)
-
-
 @main.command(epilog="\b\nExample:\n  python -m benchmarks tolerance --episodes 2 --out docs/tolerance.png --jobs 2")
 @click.option("--episodes", type=COUNT, default=2, show_default=True, help="Episodes of each task of suite 0.")
 @click.option("--out", type=FILE, required=True, help="Image to write.")

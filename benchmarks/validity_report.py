@@ -4,7 +4,7 @@ import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -202,9 +202,3 @@ def draw_separation(study: Study) -> "Figure":
 
 def _column(kind: AnomalyKind) -> str:
     return f"{kind.value.replace('_', ' ')}\n[{unit_of(kind)}]"
-
-
-def _rectangle(column: int, row: int, style: Mapping[str, object]) -> Any:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((column - 0.46, row - 0.46), 0.92, 0.92, **style)  # type: ignore[arg-type]

@@ -4,14 +4,13 @@ from typing import cast
 
 from typing_extensions import override
 
-from benchmarks.faults.fault import GRADES, FaultForm, FaultGrade
+from benchmarks.faults.fault import GRADES, FaultGrade
 from benchmarks.faults.fault_simulator import FaultSimulator
 from benchmarks.faults.plant import plant
-from benchmarks.faults.recording import Recording, ViewChange, ViewKind, render_view
+from benchmarks.faults.recording import Recording
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import member_of
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo
-from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.worldmodels.reference import OracleModel
 from kinebench_drake.suites.worldmodels.worldmodel import Request
@@ -39,26 +38,3 @@ class FaultyOracle(OracleModel):
             return video
         recording = Recording(simulator=cast(FaultSimulator, simulator), rollout=rollout, video=video)
         return plant(recording, self._fault)[0]
-
-
-class TurningOracle(OracleModel):
-    """Oracle whose view changes in the course of every clip.
-
-    Args:
-        kind: "zoom", "turn" or "move".
-        size: largest change, in the unit of `ViewKind`.
-        form: "growing" or "constant".
-    """
-
-    simulator = FaultSimulator
-
-    def __init__(self, kind: str, size: str | float, form: str = "growing") -> None:
-        own = member_of(ViewKind, kind, "kind")
-        course = member_of(FaultForm, form, "form")
-        self._view = ViewChange(kind=own, size=float(size), form=course)
-        super().__init__(f"oracle, {kind} {float(size):g}, {form}")
-
-    @override
-    def film(self, simulator: Simulator, rollout: Rollout, request: Request) -> RolloutVideo:
-        rng = generator("view", rollout.episode.id, request.round)
-        return render_view(cast(FaultSimulator, simulator), rollout.snapshots, self._view, rng)

@@ -117,13 +117,6 @@ def _pooled(results: Results, values: Callable[[ClipErrors], Array]) -> Array:
     return np.asarray(pooled[np.isfinite(pooled)])
 
 
-def pooled_errors(results: Results) -> tuple[Array, Array]:
-    """Return the position [mm] and rotation errors [degrees] of all tracked frames with a gripper."""
-    position = np.concatenate([e.position_m[e.tracked & e.visible] for e in results]) * 1e3
-    rotation = np.rad2deg(np.concatenate([e.rotation_rad[e.tracked & e.visible] for e in results]))
-    return position, rotation
-
-
 def percentile(values: Array, q: float) -> float:
     """Return a percentile; NaN without values."""
     return float(np.percentile(values, q)) if values.size else float("nan")

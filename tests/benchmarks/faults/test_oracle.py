@@ -5,10 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.faults.oracle import FaultyOracle, TurningOracle
+from benchmarks.faults.oracle import FaultyOracle
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
-from kinebench_drake.geometry import pose_difference
 from kinebench_drake.suites.composition import compose
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.worldmodels.factory import create
@@ -20,7 +19,6 @@ from kinebench_drake.suites.worldmodels.worldmodel import Request
     ("spec", "name"),
     [
         ("benchmarks.faults.oracle:FaultyOracle?kind=teleport&size=0.15", "oracle, teleport_15cm"),
-        ("benchmarks.faults.oracle:TurningOracle?kind=turn&size=5&form=constant", "oracle, turn 5, constant"),
     ],
 )
 def test_a_spec_determines_the_name_of_the_oracle(spec: str, name: str) -> None:
@@ -57,5 +55,3 @@ def test_a_faulty_oracle_differs_from_the_oracle_in_its_first_clip_alone(tmp_pat
     assert moved[0] == 0.0
     assert moved[-1] == pytest.approx(0.1, abs=1e-4)
     assert np.array_equal(truth(faulty, 1), perfect)
-    _, angle = pose_difference(truth(TurningOracle("turn", 5.0), 0), perfect)
-    assert np.rad2deg(angle[[0, -1]]) == pytest.approx([0.0, 5.0], abs=1e-3)
