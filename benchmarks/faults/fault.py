@@ -4,29 +4,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-import numpy as np
-
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.errors import UsageError
-from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
 
 
 class FaultForm(Enum):
     """Course of a fault in time, for kinds with several."""
 
-    CONSTANT = "constant"
-    """Constant over the clip."""
-    GROWING = "growing"
-    """Linear from 0 in the first frame to the full size in the last."""
     SHAKE = "shake"
     """Random rotation of the camera."""
     DRIFT = "drift"
     """Linear sideways motion of the camera."""
-
-    def course(self, frames: int) -> Array:
-        """Return the share (T,) of the full size in each frame, of CONSTANT and GROWING."""
-        return np.ones(frames) if self is FaultForm.CONSTANT else np.linspace(0.0, 1.0, frames)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
