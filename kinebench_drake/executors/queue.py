@@ -12,7 +12,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from typing import Any, Generic, cast
 
-from kinebench_drake.errors import KinebenchError
+from kinebench_drake.errors import KinebenchError, cause
 from kinebench_drake.executors.base import Item, MakeWorker, Result
 from kinebench_drake.executors.local import one_thread
 
@@ -43,6 +43,7 @@ class JobQueue(Generic[Item, Result]):
         self._lock = threading.Lock()
         self._pools: dict[int, tuple[ProcessPoolExecutor, int]] = {}  # of one process each, with its id
         self._workers = workers
+        self._is_closed = False
         self.open = 0
         """Items that wait or are processed."""
         self.counts = Counter[str](answered=0, failed=0, deaths=0)
@@ -70,7 +71,8 @@ class JobQueue(Generic[Item, Result]):
         return futures
 
     def close(self) -> None:
-        """End the processes, also those at work."""
+        """End the processes, also those at work; no other is started."""
+        self._is_closed = True
         for _ in range(self._workers):
             self._waiting.put(None)
         for place in list(self._pools):
@@ -80,11 +82,14 @@ class JobQueue(Generic[Item, Result]):
         """Process items in one process after another, until None arrives."""
         while (pair := self._waiting.get()) is not None:
             item, future = pair
-            result = error = None
+            result: Result | None = None
+            error: KinebenchError | None = None
             try:
                 result = self._process(place, item)
             except KinebenchError as failure:
                 error = failure
+            except Exception as failure:  # the item's own: the queue goes on
+                error = KinebenchError(cause(failure))
             with self._lock:
                 self.open -= 1
                 self.counts["failed" if error else "answered"] += 1
@@ -98,7 +103,7 @@ class JobQueue(Generic[Item, Result]):
             KinebenchError: there is none.
         """
         lost = Counter[bool]()  # processes, by whether they were ready
-        while lost[True] < ATTEMPTS and lost[False] < STARTS:
+        while lost[True] < ATTEMPTS and lost[False] < STARTS and not self._is_closed:
             try:
                 pool = self._ready(place)
                 result: Result = pool.submit(_work, item).result(self._timeout_s)

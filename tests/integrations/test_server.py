@@ -102,6 +102,18 @@ def test_clips_that_fail_are_answered_with_their_reason(tmp_path):
     assert counts == {"answered": 1, "failed": 2, "deaths": 4}
 
 
+def test_an_error_of_any_kind_is_an_answer_and_the_worker_goes_on(tmp_path):
+    async def run():
+        async with running(tmp_path, workers=1) as (client, jobs):
+            ids = [(await ask(client, body)).json()["id"] for body in ("no number", "0.5")]
+            return [await settle(client, id) for id in ids], dict(jobs.counts)
+
+    (wrong, good), counts = asyncio.run(run())
+    assert "could not convert string to float" in wrong["reasons"][0]
+    assert (wrong["reward"], good["reward"]) == (0.0, 0.5)
+    assert (counts["answered"], counts["failed"]) == (1, 1)
+
+
 def test_limits_and_wrong_requests_have_their_status(tmp_path, monkeypatch):
     monkeypatch.setattr(server, "MOST_TICKETS", 2)
 
