@@ -36,8 +36,9 @@ _COMPARED_FRAMES = 8
 """Frames in which two networks are compared."""
 _SIGMAS = 2.0
 """Standard deviations of an estimated camera that its poses may be off by."""
-_MOST_STRETCH = 0.15
-"""Greatest |fy / fx - 1| of a picture that is tried as stretched: that of 16:9 to 3:2 and to 5:3 is less."""
+_STRETCH = (0.04, 0.15)
+"""Range of |fy / fx - 1| of a picture that is tried as stretched: of 16:9 to 3:2 and to 5:3, not to 832x480, where it
+hardly matters and the second estimate would cost as much time as the first."""
 _MOST_RIVALS = 3
 """Cameras beside the estimated one under which a track is judged: each is another grounding."""
 PriorSource = Callable[[Camera], Priors]
@@ -234,7 +235,9 @@ class CameraChooser:
             UnmeasurableError: hand and arm are seen in too few frames.
         """
         estimator = self.parts.of(self._tracked).cameras
-        shapes = [ratio for ratio in pixel_shapes(usual.width, usual.height) if abs(ratio - 1.0) <= _MOST_STRETCH]
+        least, most = _STRETCH
+        ratios = pixel_shapes(usual.width, usual.height)
+        shapes = [ratio for ratio in ratios if ratio == 1.0 or least <= abs(ratio - 1.0) <= most]
         cameras = [replace(usual, fy=usual.fx * ratio) for ratio in shapes]
         estimates = [estimator.estimate(self.clip.frames, camera) for camera in cameras]
         return max(estimates, key=lambda estimate: estimate.support)

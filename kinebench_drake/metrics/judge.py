@@ -84,8 +84,8 @@ TUBE_M = 0.005
 TUBE_SIGMAS = 4.5
 """Least radius of that tube in standard deviations of the noise: white noise leaves it in one track of 300."""
 _TURNS_RAD = np.deg2rad([0.0, 45.0, -45.0, 90.0])
-"""Turns of the first pose that are tried where that about the gripper's own axis is not sure; half a turn more is the
-same to the last joint within its limits [rad]."""
+"""Turns of the first pose that are tried where that about the own axis of the gripper is not sure [rad]; such grippers
+look the same after half a turn."""
 _CONTACTS = {
     ViolationKind.SELF_COLLISION: IkStatus.SELF_COLLISION,
     ViolationKind.TABLE_COLLISION: IkStatus.TABLE_COLLISION,

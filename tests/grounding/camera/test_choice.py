@@ -192,6 +192,33 @@ def test_the_benchmark_camera_is_assumed_for_an_unnamed_one_if_the_track_confirm
     assert np.isfinite(grounded.track.X_BG).all()
 
 
+class Shapes(Evidence):
+    """Evidence of an estimate that agrees best with one ratio fy / fx of the focal lengths."""
+
+    def __init__(self, ratio):
+        super().__init__(agreements=[0.1, 0.7])
+        self.ratio = ratio
+        self.ratios = []
+
+    def estimate(self, frames, camera):
+        ratio = camera.fy / camera.fx
+        self.ratios.append(round(ratio, 3))
+        scene = ArmScene(lens=Lens.of_camera(camera), q=np.zeros((4, 7)), finger_m=np.zeros(4))
+        return estimate(bundle=certain_bundle(scene), agreement=0.9 - abs(ratio - self.ratio))
+
+
+@pytest.mark.parametrize(
+    ("size", "ratios", "best"),
+    [((160, 96), [1.067, 1.0], 1.067), ((160, 96), [1.067, 1.0], 1.0), ((208, 120), [1.0], 1.0)],
+)
+def test_a_picture_that_may_have_been_stretched_is_estimated_both_ways(size, ratios, best):
+    evidence = Shapes(best)
+    width, height = size
+    grounded = ground(evidence, np.zeros((T, height, width, 3), np.uint8))
+    assert evidence.ratios == ratios
+    assert grounded.camera.fy / grounded.camera.fx == pytest.approx(best, abs=1e-3)
+
+
 def test_an_assumed_camera_just_below_the_agreement_bound_gives_no_base_frame():
     grounded = ground(Evidence(agreements=[CONFIRMED - 0.01]))
     assert grounded.choice.state is CameraState.NONE
