@@ -8,11 +8,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from benchmarks.markdown import section, table
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.power import least_difference
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import read_rows
@@ -23,8 +25,9 @@ STILL = "still"
 RANDOM = "random"
 TRANSFER = "transfer"
 SAMPLES = "samples"
+EXPERT = "oracle"
 """Folders of the best training, videos that do not move, random motions, a task that the best training has not seen,
-and several samples of each episode."""
+several samples of each episode, and the clips of the expert."""
 
 
 def read_runs(study: Path) -> dict[str, list[SampleRow]]:
@@ -99,28 +102,48 @@ def points_text(paired: PairedShares) -> str:
     return f"{100 * paired.difference:.0f} points [{100 * low:.0f}, {100 * high:.0f}]"
 
 
-def best_lines(folder: Path) -> list[str]:
-    """Return the success of the sample with the best verdict of each episode beside that of all, and the gain.
+def likeness_db(clip: Path, expert: Path) -> float:
+    """Return the PSNR of a clip with that of the expert, which stays at its last frame where it is shorter [dB]."""
+    frames = np.asarray(read_video(clip).frames)
+    shown = np.asarray(read_video(expert).frames)
+    shown = shown[np.minimum(np.arange(len(frames)), len(shown) - 1)]
+    return float(cv2.PSNR(frames.reshape(len(frames), -1), shown.reshape(len(frames), -1)))
 
-    The verdict of a sample is its executability, 0 where there is none; the first of equal ones is taken.
+
+def choice_lines(folder: Path, expert: Path | None = None) -> list[str]:
+    """Return the success of the sample of each episode that a choice takes, and its gain over that of any sample.
+
+    Choices are by the executability, 0 where there is none, by the likeness to the clips of the `expert`, where these
+    exist, and that of the first sample. Of equal ones the first is taken.
     """
     groups: dict[str, list[SampleRow]] = {}
     for row in sorted(read_rows(folder).values(), key=lambda row: row.sample_index):
         groups.setdefault(row.episode, []).append(row)
     success = np.array([[_hit(row) for row in own] for own in groups.values()])
-    best = [int(np.argmax([row.number("executability") or 0.0 for row in own])) for own in groups.values()]
-    paired = _pair(success[np.arange(len(success)), best], success.mean(axis=1), success.shape[1])
-    least = least_difference(paired)
-    shares = (paired.second.mean(), paired.first.mean(), success.max(axis=1).mean())
-    head = ("episodes", "samples", "success of a sample", "of the best verdict", "of any", "gain of the choice")
-    texts = (
-        f"{len(success)}",
-        f"{success.shape[1]}",
-        *(f"{100 * share:.0f} %" for share in shares),
-        points_text(paired),
-    )
-    shown = "none" if least is None else f"{100 * least:.0f} points"
-    return table([*head, "least gain that would be shown"], [[*texts, shown]])
+    choices = {
+        "the first sample": np.zeros_like(success),
+        "executability": np.array([[row.number("executability") or 0.0 for row in own] for own in groups.values()]),
+    }
+    if expert is not None:
+        shown = {id: expert / row.video for id, row in read_rows(expert).items()}
+        choices["likeness to the expert (PSNR)"] = np.array(
+            [[likeness_db(folder / row.video, shown[id]) for row in own] for id, own in groups.items()]
+        )
+    lines = []
+    for name, values in choices.items():
+        chosen = success[np.arange(len(success)), values.argmax(axis=1)]
+        paired = _pair(chosen, success.mean(axis=1), success.shape[1])
+        least = least_difference(paired)
+        shown_gain = "none" if least is None else f"{100 * least:.0f} points"
+        lines.append([name, f"{100 * chosen.mean():.0f} %", points_text(paired), shown_gain])
+    each = 100 * success.mean()
+    some = 100 * success.max(axis=1).mean()
+    return [
+        f"{len(success)} episodes, {success.shape[1]} samples of each. {each:.0f} % of the samples succeed, and in "
+        f"{some:.0f} % of the episodes any.",
+        "",
+        *table(["chosen by", "success", "gain over a sample", "least gain that would be shown"], lines),
+    ]
 
 
 def sections(study: Path) -> Iterator[str]:
@@ -130,4 +153,5 @@ def sections(study: Path) -> Iterator[str]:
     transfer = runs.pop(TRANSFER, None)
     yield section("Success", success_lines(runs), gain_text(runs), transfer_text(transfer) if transfer else "")
     if samples:
-        yield section("Choice by the verdict", best_lines(study / SAMPLES))
+        expert = study / EXPERT
+        yield section("Choice of a sample", choice_lines(study / SAMPLES, expert if expert.exists() else None))

@@ -39,7 +39,8 @@ SHARES = {
 }
 """Truth values; a missing one counts as false, of `executable` everywhere, of the others in the bound."""
 _MEANS = (
-    *("tracked_fraction", "ik_success_rate", "manipulability_mean", "manipulability_min", "manipulability_cost_mean"),
+    *("executability", "tracked_fraction", "ik_success_rate"),
+    *("manipulability_mean", "manipulability_min", "manipulability_cost_mean"),
     *("joint_limit_margin_min", "sparc", "sparc_rotation", "ldlj", "slowdown_min", "velocity_ratio_max"),
     *("acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max", "self_distance_min_m", "table_distance_min_m"),
     *("follow_share", "deviation_m", "deviation_rad", "deviation_px", "deviation_hands"),

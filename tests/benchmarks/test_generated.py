@@ -5,9 +5,10 @@ import json
 import numpy as np
 
 from benchmarks.footage_labels import read_labels
-from benchmarks.generated import best_lines, gain_text, success_lines
+from benchmarks.generated import choice_lines, gain_text, success_lines
 from benchmarks.generated_labels import read_generated_labels
 from kinebench_drake.anomaly import AnomalyKind
+from kinebench_drake.io.container import write_video
 from kinebench_drake.results.row import Status
 from tests.rows import make_row
 
@@ -25,6 +26,11 @@ def episode_row(task, seed, success, executable=True, sample=0):
         metrics={"sparc": -3.0, "manipulability_mean": 0.1, "tracked_fraction": 1.0},
         extra={"success": success, "sample_index": sample},
     )
+
+
+def write_rows(folder, rows):
+    (folder / "samples.jsonl").write_text("".join(json.dumps(row.to_json()) + "\n" for row in rows))
+    (folder / "results.json").write_text("{}")
 
 
 def test_success_is_paired_with_that_of_the_still_video():
@@ -45,10 +51,25 @@ def test_choice_takes_the_sample_with_the_best_verdict(tmp_path):
         for seed in range(6)
         for sample in range(2)
     ]
-    (tmp_path / "samples.jsonl").write_text("".join(json.dumps(row.to_json()) + "\n" for row in rows))
-    (tmp_path / "results.json").write_text("{}")
-    line = best_lines(tmp_path)[2]
-    assert line.startswith("| 6 | 2 | 50 % | 100 % | 100 % |")
+    write_rows(tmp_path, rows)
+    first, chosen = choice_lines(tmp_path)[4:]
+    assert first.startswith("| the first sample | 0 % | -50 points")
+    assert chosen.startswith("| executability | 100 % | 50 points")
+
+
+def test_the_sample_most_like_the_expert_is_chosen(tmp_path):
+    expert = tmp_path / "oracle"
+    folder = tmp_path / "samples"
+    levels = {expert: (100,), folder: (150, 110)}
+    for home, own in levels.items():
+        home.mkdir()
+        rows = []
+        for sample, level in enumerate(own):
+            write_video(home / f"{sample}.mp4", np.full((5 - sample, 32, 32, 3), level, np.uint8), 5)
+            rows.append(episode_row("A-v1", 0, success=sample == 1, sample=sample).measured({}))
+            rows[-1] = rows[-1].extended(video=f"{sample}.mp4")
+        write_rows(home, rows)
+    assert choice_lines(folder, expert)[6].startswith("| likeness to the expert (PSNR) | 100 % |")
 
 
 def test_labels_name_known_points_kinds_and_frames():
