@@ -91,9 +91,9 @@ class LagEstimate:
     """The greatest at lags that differ by a frame or more; None if no other was tried."""
 
     @property
-    def lead(self) -> float | None:
-        """Lead of the agreement over that at other lags."""
-        return None if self.runner_up is None else self.agreement - self.runner_up
+    def is_determined(self) -> bool:
+        """Whether the agreement leads that at other lags, if any was tried."""
+        return self.runner_up is None or self.agreement - self.runner_up >= LEAST_LEAD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,10 +110,12 @@ class LinkEvidence:
     None without such frames."""
 
     def require_agreement(self, source: str, agreement: float) -> None:
-        """Check the share of the contours of the links on image edges, and its lead at the lag.
+        """Check the share of the contours of the links on image edges, and its lead in frames that the fit did not use.
+
+        Without such frames the lead is that over other lags.
 
         Raises:
-            UnmeasurableError: no camera agrees with the links, or they agree as much at other times.
+            UnmeasurableError: no camera agrees with the links, or they agree as much with other joint angles.
         """
         if agreement < bounds.AGREEMENT:
             raise UnmeasurableError(
@@ -122,13 +124,12 @@ class LinkEvidence:
                 "needed are two or more links of a moving Panda, a static camera without distortion, and the joint "
                 "angles of these frames, in radians"
             )
-        if self.lag.lead is not None and self.lag.lead < LEAST_LEAD:
+        if self.unused is None and not self.lag.is_determined:
             raise UnmeasurableError(
                 f"{source}: the links agree with the images as much at other times ({self.lag.agreement:.0%} and "
                 f"{self.lag.runner_up:.0%} of the contours of moving links on edges): the arm hardly moves, or the "
                 f"camera is wrong; the links seen are {self.links}"
             )
-
         if self.unused is not None and self.unused[0] - self.unused[1] < bounds.LEAD:
             raise UnmeasurableError(
                 f"{source}: in frames that were not used the links agree no better with their own joint angles than "

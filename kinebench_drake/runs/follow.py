@@ -349,7 +349,8 @@ class FollowEvaluator(VideoEvaluator):
         except UnmeasurableError as error:
             raise UnmeasurableError(f"no camera is named, and none fits the actions: {error}") from None
         setting = CameraSetting(camera=fit.camera, table_height_m=sample.table_height_m)
-        lag_frames = None if fit.links is None else 0.0 - fit.links.lag.frames
+        has_lag = fit.links is not None and fit.links.lag.is_determined
+        lag_frames = 0.0 - fit.links.lag.frames if has_lag else None
         return _CameraFit(sample=sample.filmed_by(setting, CameraSource.FITTED), used=used, lag_frames=lag_frames)
 
     def _ground(self, sample: VideoSample, tools: Resources) -> "GroundingResult":
@@ -437,7 +438,7 @@ class _CameraFit:
     used: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
     """(N,) numbers of the frames that the camera may have been fitted to."""
     lag_frames: float | None = None
-    """Delay of the links behind the actions; None unless the camera was fitted to the links alone."""
+    """Delay of the links behind the actions; None unless the camera was fitted to the links alone and determines it."""
 
 
 def _choose_postures(commands: Commands, other: Commands | None, t_s: Array, seed: int) -> dict[str, Array]:

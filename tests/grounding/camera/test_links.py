@@ -95,7 +95,8 @@ def test_frames_that_the_fit_did_not_use_agree_best_with_their_own_joint_angles(
 def test_joint_angles_that_are_two_frames_late_are_noticed(solution):
     _, evidence = solution
     assert evidence.lag.frames == LAG
-    assert evidence.lag.lead > 0.05
+    assert evidence.lag.agreement - evidence.lag.runner_up > 0.05
+    assert evidence.lag.is_determined
     assert evidence.to_json()["lag_frames"] == LAG
     assert "2 frames late" in evidence.format_lines()[1]
 
@@ -136,6 +137,13 @@ def test_too_little_evidence_is_refused_with_the_links_in_view(agreement, runner
     evidence = LinkEvidence(lag=lag, shapes=((1.0, 0.5),), links="link5 in 3 of 9 frames", unused=unused)
     with pytest.raises(UnmeasurableError, match=said):
         evidence.require_agreement("joints.csv", agreement)
+
+
+def test_an_unclear_lag_is_no_objection_where_other_frames_confirm_the_camera():
+    lag = LagEstimate(frames=0.0, agreement=0.5, runner_up=0.49)
+    evidence = LinkEvidence(lag=lag, shapes=((1.0, 0.5),), links="link5 in 9 of 9 frames", unused=(0.5, 0.2))
+    evidence.require_agreement("joints.csv", 0.6)
+    assert not lag.is_determined
 
 
 @pytest.mark.parametrize(
