@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
+from scipy.optimize import minimize
 from typing_extensions import override
 
 from kinebench_drake.geometry import Array, invert, pose_difference
@@ -147,14 +148,20 @@ class NumericSolver(PostureSolver):
         self._plant = plant
         self._starts = spread_postures(plant, _STARTS)
         self._middle = 0.5 * (plant.lower + plant.upper)
+        self._shoulder, self._reach_m = _reach(plant)
 
     @override
     def all(self, X_BG: Array, samples: int, rounds: int = 0) -> list[Array]:
         layers: list[Array] = []
+        beyond = self.out_of_reach_m(X_BG) > 0.0
         before = self._starts[:0]
         is_redundant = before.shape[1] > 6  # its postures may be moved into the limits
         free_rad = _FREE_TURN_RAD
-        for X in X_BG:
+        for X, is_beyond in zip(X_BG, beyond, strict=True):
+            if is_beyond:
+                before = self._starts[:0]
+                layers.append(before)
+                continue
             near = self._solve(X, before, free_rad, bounded=is_redundant, iterations=_NEAR_STEPS)
             is_sure = len(near) == len(before) > 0 and samples <= _COARSE
             count = 0 if is_sure and len(layers) % _EVERY else max(8, samples // 4)
@@ -210,7 +217,24 @@ class NumericSolver(PostureSolver):
 
     @override
     def out_of_reach_m(self, X_BG: Array) -> Array:
-        return np.zeros(len(X_BG))
+        return np.maximum(np.linalg.norm(X_BG[:, :3, 3] - self._shoulder, axis=-1) - self._reach_m, 0.0)
+
+
+def _reach(plant: ArmPlant) -> tuple[Array, float]:
+    """Return a point (3,) of the first axis in B, and a bound of the TCP's distance from it [m]; inf if a joint slides.
+
+    Points on successive axes keep their distances in all postures: their polyline is made as short as possible.
+    """
+    chain = plant.chain
+    tcp = chain.home[plant.robot.tcp_link][:3, 3]
+    axes, points = (of_all[0] for of_all in chain.axes(chain.motions(np.zeros((1, chain.n_joints)))))
+
+    def length(along: Array) -> float:
+        ends = np.vstack([points + along[:, None] * axes, tcp])
+        return float(np.linalg.norm(np.diff(ends, axis=0), axis=-1).sum())
+
+    best = minimize(length, np.zeros(chain.n_joints), method="Powell").x
+    return points[0] + best[0] * axes[0], length(best) if chain.turns.all() else np.inf
 
 
 def spread_postures(plant: ArmPlant, count: int) -> Array:

@@ -23,7 +23,7 @@ from kinebench_drake.kinematics.newton import (
 )
 from kinebench_drake.kinematics.path import SAMPLES, grid_postures, limit_excess, search_path, within_limits
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.postures import spread_postures
+from kinebench_drake.kinematics.postures import posture_solver, spread_postures
 from kinebench_drake.segments import spread
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
@@ -97,7 +97,8 @@ def settle_free_turns(plant: ArmPlant, X_BG: Array) -> Array:
         return X_BG
     settled = X_BG.copy()
     q = plant.robot.rest_q
-    for i in np.flatnonzero(np.isfinite(X_BG).all(axis=(1, 2))):
+    finite = np.isfinite(X_BG).all(axis=(1, 2))
+    for i in np.flatnonzero(finite & ~(posture_solver(plant).out_of_reach_m(X_BG) > 0.0)):
         near, error = solve_newton(plant, X_BG[i], q, iterations=20)
         reaching = near[None]
         if error > REACHED_M or pose_difference(plant.forward(near), X_BG[i])[1] > ROTATION_TOLERANCE_RAD:
