@@ -109,6 +109,7 @@ def load_robot(
     root = read_urdf(source)
     remarks = [REMARK] if robot == FR3 else []
     remarks += _fix_base(root)
+    _number_actuators(root)
     default = (named.tool or TCP_LINK) if named else ""
     tcp = _place_tool(LinkTree(source.name, root), root, tool or default or None, default.partition(":")[0])
     if robot == FR3:
@@ -152,6 +153,14 @@ def _fix_base(root: ElementTree.Element) -> list[str]:
         joint.set("type", "fixed")
     names = ", ".join(str(joint.get("name")) for joint in floating)
     return [f"floating joints are taken as fixed, the base does not move: {names}"] if floating else []
+
+
+def _number_actuators(root: ElementTree.Element) -> None:
+    """Give actuators that share a name, which Drake refuses, names of their own."""
+    actuators = [*root.iter("actuator")]
+    if len({actuator.get("name") for actuator in actuators}) < len(actuators):
+        for k, actuator in enumerate(actuators):
+            actuator.set("name", f"actuator_{k}")
 
 
 def _fix_others(tree: LinkTree, joints: Sequence[ElementTree.Element]) -> list[str]:

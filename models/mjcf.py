@@ -10,9 +10,11 @@ import numpy as np
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.files import cache_folder
+from kinebench_drake.models.drake_log import silent_drake
 from kinebench_drake.models.panda.description import add_inertial
 
 _TYPES = {"revolute": "revolute", "prismatic": "prismatic"}
+_SERVOS = ("position", "velocity", "intvelocity", "general")  # actuators whose control is no force
 
 
 def read_mjcf(source: Path, root: ElementTree.Element) -> ElementTree.Element:
@@ -34,7 +36,11 @@ def read_mjcf(source: Path, root: ElementTree.Element) -> ElementTree.Element:
         _inline(source, root)
         root.set("model", root.get("model") or source.stem)
         _convert_meshes(source, root)
-        Parser(plant).AddModelsFromString(ElementTree.tostring(root, encoding="unicode"), "xml")
+        for servo in (servo for tag in _SERVOS for servo in root.iter(tag)):
+            for key in ("ctrlrange", "ctrllimited"):  # which Drake takes for those of forces
+                servo.attrib.pop(key, None)
+        with silent_drake():  # a line for each attribute that is not of use here
+            Parser(plant).AddModelsFromString(ElementTree.tostring(root, encoding="unicode"), "xml")
         plant.Finalize()
     # trimesh passes on exceptions of other libraries
     except Exception as error:

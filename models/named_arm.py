@@ -1,9 +1,10 @@
 """Arms by name: where their descriptions are, which limits their makers publish, how data sets call them."""
 
-import importlib.util
+import re
 import tomllib
 from collections.abc import Mapping
 from functools import cache
+from importlib.metadata import PackageNotFoundError, distribution
 from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
@@ -26,11 +27,11 @@ class NamedArm(BaseModel):
     types: tuple[str, ...]
     """Values of `robot_type` of LeRobot data sets, in lower case."""
     package: str = ""
-    """Package that contains the description; empty for the arms of `panda.description`."""
+    """Folder of site-packages that contains the description; empty for the arms of `panda.description`."""
     requirement: str = ""
     """Name of the package for pip."""
     file: str = ""
-    """Description in the package."""
+    """Description in that folder."""
     tool: str = ""
     """Link whose frame is G, or its pose in a link, as in `--tool`."""
     columns: tuple[str, ...] = ()
@@ -46,11 +47,13 @@ class NamedArm(BaseModel):
         Raises:
             SetupError: it is not installed, or does not contain the description.
         """
-        spec = importlib.util.find_spec(self.package)
-        folder = Path(next(iter(spec.submodule_search_locations))) if spec and spec.submodule_search_locations else None
-        if folder is None or not (folder / self.file).is_file():
+        try:
+            path = Path(str(distribution(re.split(r"[^\w-]", self.requirement)[0]).locate_file(self.package))) / self.file
+        except PackageNotFoundError:
+            path = Path()
+        if not path.is_file():
             raise SetupError(f"{self.title} is described in {self.requirement}; pip install '{self.requirement}'")
-        return folder / self.file
+        return path
 
 
 @cache

@@ -1,8 +1,6 @@
 """Drake plant of the arm: forward kinematics, Jacobian, limits, inverse dynamics, collision geometry."""
 
-import logging
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -18,6 +16,7 @@ from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.chain import LinkChain
 from kinebench_drake.models.arm import panda
+from kinebench_drake.models.drake_log import silent_drake
 from kinebench_drake.models.obstacles import is_obstacle
 from kinebench_drake.models.robot import Robot
 
@@ -47,7 +46,8 @@ class ArmPlant:
         plant: Any
         plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
         try:
-            Parser(plant).AddModels(self.robot.urdf)
+            with silent_drake():  # a line for each element that is not of use here
+                Parser(plant).AddModels(self.robot.urdf)
             base = plant.GetFrameByName(self.robot.base_link)
             if base.body().index() != plant.world_body().index():
                 plant.WeldFrames(plant.world_frame(), base, RigidTransform())
@@ -230,15 +230,3 @@ def _index(starts: list[int]) -> slice | NDArray[np.intp]:
     """Return an index of the arm joints: a slice if they are consecutive, which is faster."""
     consecutive = starts == list(range(starts[0], starts[0] + len(starts)))
     return slice(starts[0], starts[-1] + 1) if consecutive else np.array(starts, dtype=np.intp)
-
-
-@contextmanager
-def silent_drake() -> Iterator[None]:
-    """Suppress Drake's log messages, where an infeasible program is a regular result."""
-    logger = logging.getLogger("drake")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)

@@ -17,8 +17,8 @@ from pydrake.trajectories import BsplineTrajectory
 from scipy.sparse import coo_matrix, diags, hstack, identity, kron, vstack
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.plant import silent_drake
 from kinebench_drake.kinematics.spline import ORDER, SplineBasis
+from kinebench_drake.models.drake_log import silent_drake
 
 INSIDE = 1.0 - 1e-6
 """Share of each limit that the program may use; the rest covers the tolerance of the solver."""

@@ -3,7 +3,7 @@ import logging
 import pydrake.common  # noqa: F401  (sets the logger up)
 import pytest
 
-from kinebench_drake.kinematics.plant import silent_drake
+from kinebench_drake.models.drake_log import silent_drake
 
 
 def test_silent_drake_restores_the_log_level_even_after_an_exception() -> None:

@@ -31,7 +31,8 @@ def mjcf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shapes = ("sphere", "capsule", "cylinder", "box", "sphere", "box")
     bodies = "".join(BODY.format(k=k, axis=a, shape=s) for k, (a, s) in enumerate(zip(axes, shapes, strict=True)))
     finger = '<body name="f"><joint name="slide" type="slide" axis="0 1 0" range="-0.03 0"/><geom size="0.01"/></body>'
-    motor = '<actuator><motor joint="j0" ctrllimited="true" ctrlrange="-9 9"/></actuator>'
+    motor = '<actuator><motor joint="j0" ctrllimited="true" ctrlrange="-9 9"/>'
+    motor += '<position joint="j1" ctrllimited="true" ctrlrange="-1 1" forcerange="-5 5"/></actuator>'
     path = tmp_path / "small.xml"
     path.write_text(HEAD + bodies + finger + "</body>" * 7 + f"</worldbody>{motor}</mujoco>")
     return path
@@ -43,6 +44,7 @@ def test_an_mjcf_moves_and_weighs_as_in_drake(mjcf: Path, tmp_path: Path) -> Non
     assert robot.joints == tuple(f"j{k}" for k in range(6))
     assert (robot.finger_joints, robot.finger_signs) == (("slide",), (-1.0,))
     np.testing.assert_allclose(robot.limits.upper, np.pi / 3)
+    np.testing.assert_array_equal(robot.limits.torque, [9.0, 5.0, *[np.inf] * 4])  # not the range of a servo's angles
     assert robot.limits.unstated == ("velocity", "acceleration", "jerk", "torque")
     drake = MultibodyPlant(0.0)
     trimesh.load(tmp_path / "meshes" / "ball.stl").export(tmp_path / "meshes" / "ball.obj")
