@@ -13,6 +13,7 @@ class ViolationKind(Enum):
     SELF_COLLISION = "self_collision"
     TABLE_COLLISION = "table_collision"
     OBSTACLE_COLLISION = "obstacle_collision"
+    ARM_COLLISION = "arm_collision"
     DISCONTINUITY = "discontinuity"
     VELOCITY = "velocity"
     ACCELERATION = "acceleration"
@@ -29,6 +30,7 @@ UNITS = {
     ViolationKind.SELF_COLLISION: "m",
     ViolationKind.TABLE_COLLISION: "m",
     ViolationKind.OBSTACLE_COLLISION: "m",
+    ViolationKind.ARM_COLLISION: "m",
     ViolationKind.DISCONTINUITY: "m",
     ViolationKind.VELOCITY: "rad/s",
     ViolationKind.ACCELERATION: "rad/s^2",
@@ -56,9 +58,11 @@ class Violation:
     """Greatest allowed value, or the least for a lower joint limit or a distance; in `unit`."""
     unit: str
     link: str | None = None
-    """Link that meets an obstacle; None of other kinds."""
+    """Link that meets an obstacle or the other arm; None of other kinds."""
     body: str | None = None
-    """Obstacle that the link meets; None of other kinds."""
+    """Obstacle, or link of the other arm, that the link meets; None of other kinds."""
+    arm: str | None = None
+    """Arm of two, left or right; None of one arm, and where both collide."""
     unknown: Mapping[str, object] = field(default_factory=dict, repr=False)
     """Keys that a newer version added to the entry."""
 
@@ -66,7 +70,7 @@ class Violation:
     def rank(self) -> tuple[int, int, int, str]:
         """Sort key: by cause, within a kind by frame."""
         parts = self.joint or f"{self.link or ''} {self.body or ''}".strip()
-        return _CAUSES.index(self.kind), self.frame_start, self.frame_end, parts
+        return _CAUSES.index(self.kind), self.frame_start, self.frame_end, f"{self.arm or ''}{parts}"
 
     @classmethod
     def at(cls, kind: ViolationKind, frame: int, joint: str | None, value: float, limit: float) -> "Violation":

@@ -230,9 +230,14 @@ def list_arms() -> list[dict[str, Json]]:
         table = ROBOTS.get(name, arm.limits)
         about: dict[str, Json] = {"name": name, "title": arm.title, "source": table.source or arm.source}
         try:
-            joints, limits = arm_limits(name)
+            of_arms = [arm_limits(own) for own in arm.arms or (name,)]
+            limits = of_arms[0][1]
             checked = [kind for kind in LIMIT_KINDS if kind not in limits.unstated]
-            about |= {"joints": [*joints], "checked": [*checked], "unchecked": [*limits.unstated]}
+            about |= {
+                "joints": [joint for joints, _ in of_arms for joint in joints],
+                "checked": [*checked],
+                "unchecked": [*limits.unstated],
+            }
         except SetupError as error:
             about["missing"] = str(error)
         listed.append(about)
@@ -250,7 +255,9 @@ def _find(robot: str | Path) -> tuple[Path, LimitTable | None]:
     """Return the URDF of a robot, and the limits published for one with a name."""
     if str(robot) in ROBOTS:
         return source_urdf(), ROBOTS[str(robot)]
-    if arm := named_arms().get(str(robot)):
+    if (arm := named_arms().get(str(robot))) and arm.arms:
+        raise UsageError(f"$robot {robot} has two arms, which `audit` judges: expected one of {' and '.join(arm.arms)}")
+    if arm:
         return arm.path(), arm.limits
     path = Path(robot)
     if not path.is_file():

@@ -36,6 +36,8 @@ class NamedArm(BaseModel):
     """Link whose frame is G, or its pose in a link, as in `--tool`."""
     columns: tuple[str, ...] = ()
     """Names of the joints in data sets; empty if they are those of the description."""
+    arms: tuple[str, ...] = ()
+    """Names of the arms of a pair, left first; empty for one arm."""
     source: str = ""
     """Sources of description and limits."""
     limits: LimitTable = LimitTable()
@@ -47,8 +49,9 @@ class NamedArm(BaseModel):
         Raises:
             SetupError: it is not installed, or does not contain the description.
         """
+        name = re.split(r"[^\w-]", self.requirement)[0]
         try:
-            path = Path(str(distribution(re.split(r"[^\w-]", self.requirement)[0]).locate_file(self.package))) / self.file
+            path = Path(str(distribution(name).locate_file(self.package))) / self.file
         except PackageNotFoundError:
             path = Path()
         if not path.is_file():

@@ -120,6 +120,8 @@ def view(out: Path, id: str, opened: bool) -> None:
         row = rows[id]
         if row.base_frame_reason is not None:
             raise UsageError(f"{id}: cannot be shown with the robot, it has no base frame: {row.base_frame_reason}")
+        if row.arms is not None:
+            raise UsageError(f"{id}: has two arms, whose motion is not shown; tracks/{id}.npz holds it")
         if not artifact_path(out, "tracks", id).is_file():
             raise UsageError(f"{id}: has no track to show ({row.reason or f'tracks/{id}.npz is absent'})")
         from kinebench_drake.report.replay import write_replays

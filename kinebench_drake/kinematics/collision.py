@@ -197,6 +197,10 @@ class CollisionModel:
         self.radii = np.array([radius for _, radius in balls])
         """(S,) radii of these balls [m]."""
 
+    def arm_solids(self) -> dict[Any, Solid]:
+        """Return the solids of the arm, without obstacles, by Drake's ids."""
+        return {id: solid for id, solid in self._solids.items() if id not in self._blocks}
+
     def self_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
         """Return the least distance between two links that must not touch, exact to 1e-6 m for polytopes.
 

@@ -359,6 +359,7 @@ class TrackJudge:
             reasons=MappingProxyType(reasons),
             details=MappingProxyType(path_details(plant, measured)),
             curves=MappingProxyType({**track_curves(plant, measured), **motion_ratios(plant, measured, violations)}),
+            contact_tolerance_m=contact_tolerance(measured.path.noise),
         )
 
 

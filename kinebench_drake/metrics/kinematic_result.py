@@ -13,6 +13,7 @@ from kinebench_drake.kinematics.manipulability import Manipulability, time_integ
 from kinebench_drake.kinematics.path import limit_margin
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import TimeScale
+from kinebench_drake.kinematics.track_ik import CONTACT_TOLERANCE_M
 from kinebench_drake.kinematics.trajopt import TubeResult
 from kinebench_drake.metrics.coverage import Coverage
 from kinebench_drake.metrics.limit_checks import KINDS, LimitCheck, LimitChecks
@@ -49,6 +50,8 @@ class KinematicResult:
     """The field `details` of samples.jsonl: noise, limits and checks joint by joint, timing, tube."""
     curves: Mapping[str, Array] = field(default_factory=dict)
     """Arrays (T,) or (T, 7) along the track for its npz file; NaN where not measured. `bridged` is 1 where bridged."""
+    contact_tolerance_m: float = CONTACT_TOLERANCE_M
+    """Penetration depth up to which a contact is no collision [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

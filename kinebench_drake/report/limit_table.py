@@ -152,7 +152,9 @@ def locate_fault(fault: Violation | Anomaly, t_s: Array | None) -> LimitPeak:
     is_number = math.isfinite(fault.value) and math.isfinite(fault.limit)
     return replace(
         peak,
-        joint=fault.joint if fault.body is None else f"{fault.link} with {fault.body}",
+        joint=" ".join(part for part in (fault.arm, fault.joint) if part) or None
+        if fault.body is None
+        else f"{fault.link} with {fault.body}",
         value=fault.value * factor if is_number else None,
         limit=fault.limit * factor if is_number else None,
         unit=unit,

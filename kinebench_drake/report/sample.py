@@ -94,7 +94,8 @@ def embed_thumbnail(out: Path, row: SampleRow) -> str:
 
 
 def _has_track(out: Path, row: SampleRow) -> bool:
-    return row.status is Status.OK and artifact_path(out, "tracks", row.id).is_file()
+    is_shown = row.status is Status.OK and row.arms is None
+    return is_shown and artifact_path(out, "tracks", row.id).is_file()
 
 
 def relative_link(file: Path, folder: Path, anchor: str = "") -> str:
@@ -134,7 +135,14 @@ def view_sample(out: Path, row: SampleRow, *, pictured: bool, drawn: bool) -> Sa
 
 
 def _list_remarks(row: SampleRow) -> Iterator[tuple[str, str]]:
-    """List smoothness beside its noise floor, and reasons of missing metrics."""
+    """List what an audit checks, smoothness beside its noise floor, and reasons of missing metrics."""
+    if row.followed is not None:
+        yield "checked of the poses", row.followed
+    if row.arms is not None:
+        yield (
+            "arms",
+            f"{' and '.join(row.arms)}, each as one arm, and their collisions; metrics are the worse ones",
+        )
     for name in row.metrics.numbers:
         value, median, low, high = (
             numeric_value(row, name + suffix) for suffix in ("", "_floor_median", "_floor_low", "_floor_high")

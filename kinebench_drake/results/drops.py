@@ -86,7 +86,8 @@ def _faults(row: SampleRow, usual_lag: float) -> Iterable[tuple[DropReason, tupl
     if row.status is not Status.OK:
         yield DropReason.NOT_MEASURED, (None, None), row.reason or row.status.value
     if row.feasible is False:
-        kinds = ", ".join(dict.fromkeys(v.kind.value.replace("_", " ") for v in row.violations))
+        names = (f"{v.arm or ''} {v.kind.value.replace('_', ' ')}".strip() for v in row.violations)
+        kinds = ", ".join(dict.fromkeys(names))
         start = min((v.frame_start for v in row.violations), default=None)
         yield DropReason.INFEASIBLE, (start, max((v.frame_end for v in row.violations), default=None)), kinds
     if gaps := row.dropped_samples:

@@ -57,6 +57,20 @@ def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curv
         InputError: a curve is not (T,) or (T, J).
         SetupError: writing failed.
     """
+    write_atomically(path, pack_arrays(track_arrays(track, joints, curves)))
+
+
+def write_tracks(path: Path, arms: Mapping[str, Mapping[str, NDArray[np.generic]]]) -> None:
+    """Write the file of two arms: the arrays of each (`track_arrays`) with its name before theirs, and common times."""
+    arrays = {f"{name}_{key}": array for name, own in arms.items() for key, array in own.items() if key != "t_s"}
+    [t_s, *_] = (own["t_s"] for own in arms.values())
+    write_atomically(path, pack_arrays({"t_s": t_s, **arrays}))
+
+
+def track_arrays(
+    track: GripperTrack, joints: JointTrack | None, curves: Mapping[str, Array]
+) -> dict[str, NDArray[np.generic]]:
+    """Return the arrays of a track file, see `write_track`."""
     n = len(track.t_s)
     arrays: dict[str, NDArray[np.generic]] = {
         **{name: getattr(track, field) for name, field in _TRACK.items()},
@@ -77,7 +91,7 @@ def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curv
         if shape not in ((n,), of_joints):
             raise InputError(f"curve {name!r} has shape {shape}, expected {(n,)} or {of_joints}")
         arrays[name] = np.asarray(curves[name], dtype=np.float64)
-    write_atomically(path, pack_arrays(arrays))
+    return arrays
 
 
 def read_track(path: Path) -> TrackFile:
@@ -88,6 +102,8 @@ def read_track(path: Path) -> TrackFile:
     """
     try:
         with open_npz(path) as a:
+            if "left_q" in a.files:
+                raise InputError("it holds two arms, which are not shown")
             lacking = [name for name in _OWN if name not in (*a.files, "status")]
             if lacking:
                 raise InputError(f"lacks {', '.join(lacking)}")

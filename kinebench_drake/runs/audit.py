@@ -13,14 +13,16 @@ from kinebench_drake.formats.lerobot.dataset import INFO
 from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectorySample
+from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json, as_type, read_object
 from kinebench_drake.metrics.recording_faults import find_action_lag, fingerprint, idle_ends
 from kinebench_drake.models.arm import PANDA, ROBOTS
+from kinebench_drake.models.joint_limits import JOINT_COUNTS
 from kinebench_drake.models.named_arm import UNNAMED, find_arm
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
-from kinebench_drake.results.trackfile import write_track
+from kinebench_drake.results.trackfile import track_arrays, write_track, write_tracks
 from kinebench_drake.runs.config import RunConfig, RunKind, SourceConfig
 from kinebench_drake.runs.evaluator import EXECUTABILITY, KINEMATIC_METRICS, Evaluator, judge_row
 from kinebench_drake.runs.gate import close_gate
@@ -28,11 +30,15 @@ from kinebench_drake.runs.option import Option
 from kinebench_drake.runs.reading_check import assess_readings, doubt_frame, doubt_robot
 from kinebench_drake.runs.resources import Resources, load_resources
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
-from kinebench_drake.track import GripperTrack
+from kinebench_drake.runs.two_arms import ArmChoice, choose_arms, find_arm_collisions, join_rows, load_pair, share_times
+from kinebench_drake.track import GripperTrack, JointTrack
+from kinebench_drake.violation import Violation
 
 if TYPE_CHECKING:  # loads Drake
     from kinebench_drake.metrics.kinematic_result import KinematicResult
 
+FOLLOWED_BY_FIVE = "position and the direction of one axis of the tool: five joints cannot set the turn about it"
+"""What an audit of poses checks of an arm of five joints."""
 _MOST_WARNINGS = 5  # shown on the terminal
 
 
@@ -94,6 +100,13 @@ class AuditConfig(SourceConfig):
             rate_hz=self.rate_hz, reading=None if self.reading is None else Reading.parse(self.reading)
         )
 
+    def robot_json(self) -> dict[str, Json]:
+        """Serialize the robot, or both of two arms, into `config` of results.json."""
+        arms = choose_arms(self.choose_robot().robot_options(), self.trajectory_options().reading)
+        robots = [arm.options.load() for arm in arms]
+        remarks = dict.fromkeys(name_options(remark) for robot in robots for remark in robot.remarks)
+        return {"robot_id": "+".join(robot.id for robot in robots), "robot_remarks": [*remarks]}
+
     def to_json(self) -> dict[str, Json]:
         """Serialize into `config` of results.json; paths by their last name only."""
         return {**RunConfig.to_json(self), "robot": Path(self.robot).name}
@@ -106,17 +119,25 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
     warnings: list[str] = []
     choice = config.trajectory_options()
     labels = {"model": config.model, "task": config.task}
-    robot = config.robot_options().load()
-    choice = replace(choice, joints=robot.column_names)
+    arms = choose_arms(config.robot_options(), choice.reading)
+    robots = [arm.options.load() for arm in arms]
+    choice = replace(choice, joints=robots[0].column_names)
     samples = find_trajectories(config.source, choice, out=config.out, warnings=warnings, **labels)
     for warning in warnings:
         observer.warn(warning)
     samples = config.name_models(samples)
-    for remark in robot.remarks:
+    for remark in dict.fromkeys(remark for robot in robots for remark in robot.remarks):
         observer.warn(f"{Path(config.robot).name}: {remark}")
-    summary = close_gate(
-        config, run_samples(samples, TrajectoryEvaluator(config=config, joints=robot.column_names), observer)
+    if len(arms) > 1 and config.replays:
+        observer.warn("rows of two arms have no 3D replays")
+        config = replace(config, replays=0)
+    evaluator = TrajectoryEvaluator(
+        config=config,
+        arms=arms,
+        joints=tuple(robot.column_names for robot in robots),
+        robot_id="+".join(robot.id for robot in robots),
     )
+    summary = close_gate(config, run_samples(samples, evaluator, observer))
     by_text = _warnings(summary.rows)
     for text, ids in list(by_text.items())[:_MOST_WARNINGS]:
         observer.warn(f"{ids[0]}: {text}" + (f" (and {len(ids) - 1} more)" if ids[1:] else ""))
@@ -126,40 +147,76 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
+class TrajectoryEvaluator(Evaluator[TrajectorySample, tuple[Resources, ...]]):
     """Evaluation of the trajectories of one run."""
 
     config: AuditConfig
-    joints: tuple[str, ...]
-    """Names of the arm's joints in data sets."""
+    arms: tuple[ArmChoice, ...]
+    """The arm, or both of a pair."""
+    joints: tuple[tuple[str, ...], ...]
+    """Names of the joints of each arm in data sets."""
 
-    def setup(self) -> Resources:
-        """Load the robot."""
-        return load_resources(self.config.make_resources, self.config.robot_options())
+    def setup(self) -> tuple[Resources, ...]:
+        """Load the robots."""
+        return tuple(load_resources(self.config.make_resources, arm.options) for arm in self.arms)
 
-    def evaluate(self, sample: TrajectorySample, tools: Resources, row: SampleRow) -> SampleRow:
+    def evaluate(self, sample: TrajectorySample, tools: tuple[Resources, ...], row: SampleRow) -> SampleRow:
         """Read, judge, write; without a verdict where it is doubtful how the numbers are to be read."""
-        choice = replace(self.config.trajectory_options(), joints=self.joints)
-        doubt = self._doubt(sample, choice, tools)
-        try:
-            trajectory = tools.undo_turns(read_trajectory(sample, choice))
-        except InputError as error:
-            raise InputError(f"{error}; {doubt}" if doubt else str(error)) from None
-        track = _pose_track(trajectory)
+        options = self.config.trajectory_options()
+        choices = [
+            replace(options, joints=joints, reading=arm.reading)
+            for arm, joints in zip(self.arms, self.joints, strict=True)
+        ]
+        doubts = [self._doubt(sample, choice, tool) for choice, tool in zip(choices, tools, strict=True)]
+        trajectories = []
+        for choice, tool, doubt in zip(choices, tools, doubts, strict=True):
+            try:
+                trajectories.append(tool.undo_turns(read_trajectory(sample, choice)))
+            except InputError as error:
+                raise InputError(f"{error}; {doubt}" if doubt else str(error)) from None
         path = artifact_path(self.config.out, "tracks", sample.id)
+        if len(tools) == 1:
+            judged = self._judge(sample, choices[0], tools[0], trajectories[0], doubts[0])
+            write_track(path, *judged.of_file())
+            return self._row(row, judged)
+        parts = zip(choices, tools, share_times(trajectories), doubts, strict=True)
+        both = {arm.side: self._judge(sample, *part) for arm, part in zip(self.arms, parts, strict=True)}
+        write_tracks(path, {side: track_arrays(*judged.of_file()) for side, judged in both.items()})
+        rows = {side: self._row(row, judged) for side, judged in both.items()}
+        results = [judged.result for judged in both.values() if judged.result is not None]
+        contacts: list[Violation] = []
+        doubt = None
+        if len(results) == len(both):
+            of_poses = any(judged.trajectory.q is None for judged in both.values())
+            contacts, doubt = find_arm_collisions(load_pair(self.arms, tools), results, [*both], of_poses=of_poses)
+        return join_rows(row, rows, contacts, doubt)
+
+    def _judge(
+        self,
+        sample: TrajectorySample,
+        choice: TrajectoryOptions,
+        tools: Resources,
+        trajectory: Trajectory,
+        doubt: str | None,
+    ) -> "_Judged":
+        """Judge the trajectory of an arm unless it is doubtful how its numbers are to be read."""
         result = None if doubt else judge_trajectory(tools, trajectory)
         if result is not None and trajectory.q is None:
             judge = partial(judge_trajectory, tools)
             doubt = doubt_frame(tools, sample, choice, result, judge, is_franka=self.config.robot in ROBOTS)
             result = None if doubt else result
-        if result is None:
-            write_track(path, track, None, {})
-        else:
-            write_track(path, result.track, result.joints, result.curves)
+        joints = len(tools.plant.lower)
+        return _Judged(trajectory=trajectory, result=result, doubt=doubt, joints=joints)
+
+    def _row(self, row: SampleRow, judged: "_Judged") -> SampleRow:
+        """Return the row of an arm."""
+        trajectory = judged.trajectory
+        result = judged.result
         period_s = float(np.median(np.diff(trajectory.t_s)))
         lag = trajectory.commands and find_action_lag(*trajectory.commands, period_s)
         source = PeriodSource.TIME_STAMPS if self.config.rate_hz is None else PeriodSource.RATE
-        doubts = [name_options(doubt)] if doubt else []
+        doubts = [name_options(judged.doubt)] if judged.doubt else []
+        is_partial = judged.joints == JOINT_COUNTS[0] and trajectory.q is None
         row = row.extended(
             **({"base_frame_reason": doubts[0]} if doubts else {}),
             frames=len(trajectory.t_s),
@@ -168,15 +225,16 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
             frame_period_s=period_s,
             frame_period_source=source.value,
             judged="poses" if trajectory.q is None else "joints",
+            **({"followed": FOLLOWED_BY_FIVE} if is_partial else {}),
             columns=trajectory.columns,
             dropped_samples=trajectory.dropped,
-            idle_ends=idle_ends(track if result is None else result.track),
+            idle_ends=idle_ends(judged.track if result is None else result.track),
             fingerprint=fingerprint(trajectory.X_BG if trajectory.q is None else trajectory.q),
             **({} if lag is None else {"action_lag": lag}),
             warnings=[*doubts, *map(name_options, trajectory.warnings)],
         )
         reasons = dict.fromkeys(("", "feasible"), doubts[0]) if doubts else {}
-        return judge_row(row, result, reasons=reasons, tracked=track.tracked)
+        return judge_row(row, result, reasons=reasons, tracked=judged.track.tracked)
 
     def _doubt(self, sample: TrajectorySample, choice: TrajectoryOptions, tools: Resources) -> str | None:
         """Return why the numbers have no verdict; None if there is no doubt how to read them."""
@@ -214,6 +272,27 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Resources]):
         """Return format, seed, prompt and success."""
         success = {} if sample.success is None else {"success": sample.success}
         return {"format": sample.format.value, "seed": sample.seed, "prompt": sample.prompt, **success}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Judged:
+    """Trajectory of an arm and its verdict."""
+
+    trajectory: Trajectory
+    result: "KinematicResult | None"
+    """None if it is doubtful how the numbers are to be read."""
+    doubt: str | None
+    joints: int
+
+    @property
+    def track(self) -> GripperTrack:
+        """Track of the recorded poses."""
+        return _pose_track(self.trajectory)
+
+    def of_file(self) -> tuple[GripperTrack, JointTrack | None, Mapping[str, Array]]:
+        """Return track, joints and curves for the track file."""
+        result = self.result
+        return (self.track, None, {}) if result is None else (result.track, result.joints, result.curves)
 
 
 def judge_trajectory(tools: Resources, trajectory: Trajectory) -> "KinematicResult":

@@ -531,7 +531,8 @@ def doubt_robot(sample: TrajectorySample, choice: TrajectoryOptions, robot: str)
     if name is None or robot not in named_arms() or (choice.reading and choice.reading.robot):
         return None
     named = find_arm(name)
-    is_other = named not in (None, robot) or (named is None and bool(_OTHERS.search(name)))
+    fitting = (named, *named_arms()[named].arms) if named else ()
+    is_other = robot not in fitting if named else bool(_OTHERS.search(name))
     if not is_other or (named, robot) == (PANDA, FR3):
         return None
     return (

@@ -5,7 +5,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.formats.trajectories.reading import JOINTS, LAYOUTS, Reading, layout_sizes, nanoseconds_beside
+from kinebench_drake.formats.trajectories.reading import (
+    JOINTS,
+    LAYOUTS,
+    SIDES,
+    Reading,
+    layout_sizes,
+    nanoseconds_beside,
+)
 from kinebench_drake.formats.trajectories.trajectory import N_JOINTS, ColumnTable, NumberColumn, reference
 
 _NUMBERED = re.compile(
@@ -31,7 +38,6 @@ _TOOLS = {"tcp": "tcp", "flange": "flange"}
 _CONTRACT = re.compile(r"(?:left_|right_)?(?:base_from_tcp|q|q[1-9]_rad|[xyz]_m|q[wxyz])")
 """Names with a documented unit and frame."""
 _UNTELLING = {"joint", "pos", "position", "angle", "main", "follower", "k", "state", "observation", "qpos"}
-_SIDES = ("left", "right")
 _JOINT_WORDS = {"joint", "joints"}
 _ANGLE_WORDS = {"pos", "position", "positions", "state", "states", "angle", "angles"}
 _TOOL_WORDS = {"ee", "eef", "tcp", "pose", "poses", "hand", "gripper", "cartesian", "base"}
@@ -208,9 +214,9 @@ def _by_joint_names(group: _Group, joints: Sequence[str]) -> list[int] | None:
         return None
     wanted = [_telling(joint) for joint in joints]
     names = [_telling(name) for name in group.names]
-    sides = {*_SIDES} & {word for joint in wanted for word in joint}
+    sides = {*SIDES} & {word for joint in wanted for word in joint}
     if not sides:  # of one arm, or of the one that the user names
-        names = [tuple(word for word in name if word not in _SIDES) for name in names]
+        names = [tuple(word for word in name if word not in SIDES) for name in names]
     places = [[k for k, name in enumerate(names) if name == joint] for joint in wanted]
     return [own[0] for own in places] if all(len(own) == 1 for own in places) else None
 

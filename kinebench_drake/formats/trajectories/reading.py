@@ -73,6 +73,10 @@ START_Q = np.pi * np.array([0.0, 1 / 8, 0.0, -5 / 8, 0.0, 3 / 4, 1 / 4])
 _EPOCH_S = 1e11  # absolute times are larger in any unit smaller than seconds, and smaller in seconds
 
 
+SIDES = ("left", "right")
+"""Arms of a pair."""
+
+
 def _as_tuple(value: object) -> object:
     return (value,) if isinstance(value, str) else tuple(value) if isinstance(value, list) else value
 
@@ -92,6 +96,9 @@ class Reading(BaseModel):
     """Meaning of these numbers, one of LAYOUTS."""
     arm: str | None = None
     """Text in the names of one arm's numbers, where there are several arms."""
+    arms: Mapping[Literal["left", "right"], _Numbers | str] | None = None
+    """Two arms in a row: for each the pose of its base in a common frame, x y z [m] and a quaternion wxyz if it is
+    turned, or the link of its TCP in a description of both."""
     length: Literal["m", "cm", "mm"] | None = None
     angle: Literal["rad", "deg", "percent"] | None = None
     signs: _Numbers | None = None
@@ -133,6 +140,15 @@ class Reading(BaseModel):
         if isinstance(value, tuple) and len(value) not in (3, 7):
             raise ValueError(f"has {len(value)} numbers, expected 7 (or x y z)")
         return value
+
+    @field_validator("arms")
+    @classmethod
+    def _check_arms(cls, arms: Mapping[str, tuple[float, ...] | str] | None) -> object:
+        if arms is not None and {*arms} != {*SIDES}:
+            raise ValueError(f"has {', '.join(arms) or 'no arm'}, expected left and right")
+        for place in () if arms is None else arms.values():
+            cls._check_pose(place)
+        return arms
 
     @classmethod
     def parse(cls, source: Path | Mapping[str, object]) -> "Reading":
@@ -227,8 +243,8 @@ class Reading(BaseModel):
         else:
             X_WT, repaired = self._poses(values, layout)
             repairs += repaired
-            tool = TOOLS[self.tool] if isinstance(self.tool, str) else _pose(self.tool)
-            X_BG = np.asarray(_pose(self.base_from_world) @ X_WT @ tool)
+            tool = TOOLS[self.tool] if isinstance(self.tool, str) else pose_of(self.tool)
+            X_BG = np.asarray(pose_of(self.base_from_world) @ X_WT @ tool)
         return RawTrajectory(
             t_s=self._times(table),
             X_BG=X_BG,
@@ -273,7 +289,7 @@ class Reading(BaseModel):
         if not self.deltas:
             return X, repairs
         # Assumed start of deltas: joint angles [rad], and x y z [m] with a quaternion wxyz.
-        total = [_pose(self.start if isinstance(self.start, tuple) else (0.5, 0.0, 0.3, 0.0, 1.0, 0.0, 0.0))]
+        total = [pose_of(self.start if isinstance(self.start, tuple) else (0.5, 0.0, 0.3, 0.0, 1.0, 0.0, 0.0))]
         for step in X[:-1]:  # rotations about the axes of the base, as positions
             total.append(make_pose(step[:3, :3] @ total[-1][:3, :3], step[:3, 3] + total[-1][:3, 3]))
         return np.stack(total[: len(X)]), repairs
@@ -376,7 +392,7 @@ def _read_calibration(path: Path) -> list[float]:
     return halves
 
 
-def _pose(numbers: tuple[float, ...] | None) -> Array:
+def pose_of(numbers: tuple[float, ...] | None) -> Array:
     """Return the pose (4, 4) of x y z [m], and a quaternion wxyz if there is one."""
     if numbers is None:
         return np.eye(4)
