@@ -60,14 +60,20 @@ def read_mjcf(source: Path, root: ElementTree.Element) -> ElementTree.Element:
     return urdf
 
 
-def _inline(source: Path, element: ElementTree.Element) -> None:
-    """Put the content of included files in the place of their `include` elements."""
+def _inline(source: Path, element: ElementTree.Element, around: tuple[str, ...] = ()) -> None:
+    """Put the content of included files in the place of their `include` elements; `around` are files about them."""
     for place, child in reversed([*enumerate(element)]):
         if child.tag == "include":
-            own = ElementTree.fromstring((source.parent / str(child.get("file"))).read_bytes())
+            file = str(child.get("file"))
+            if file in around or not (source.parent / file).is_file():
+                raise InputError(
+                    f"the included file {file} {'includes itself' if file in around else 'does not exist'}"
+                )
+            own = ElementTree.fromstring((source.parent / file).read_bytes())
+            _inline(source, own, (*around, file))
             element[place : place + 1] = [*own]
-    for child in element:
-        _inline(source, child)
+        else:
+            _inline(source, child, around)
 
 
 def _convert_meshes(source: Path, root: ElementTree.Element) -> None:
@@ -84,6 +90,8 @@ def _convert_meshes(source: Path, root: ElementTree.Element) -> None:
     for mesh in root.iter("mesh"):
         if (file := mesh.get("file")) is not None:
             path = folder / file
+            if not path.is_file():
+                raise InputError(f"its mesh {file} does not exist")
             mesh.set("name", mesh.get("name", path.stem))
             if path.suffix.lower() != ".obj":
                 content = path.read_bytes()

@@ -50,7 +50,8 @@ class LinkTree:
             self.inboard[child] = joint
         roots = [link for link in self.links if link not in self.inboard]
         if len(roots) != 1:
-            raise InputError(f"{file}: {len(roots)} links hang on no joint ({', '.join(roots)}), expected one base")
+            others = ", ".join(roots) or ("the joints form a loop" if self.links else "it has no link")
+            raise InputError(f"{file}: {len(roots)} links hang on no joint ({others}), expected one base")
         self.root = roots[0]
         reached = fresh = set(roots)
         while fresh:
