@@ -205,8 +205,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, tuple[Resources, ...]]):
             judge = partial(judge_trajectory, tools)
             doubt = doubt_frame(tools, sample, choice, result, judge, is_franka=self.config.robot in ROBOTS)
             result = None if doubt else result
-        joints = len(tools.plant.lower)
-        return _Judged(trajectory=trajectory, result=result, doubt=doubt, joints=joints)
+        return _Judged(trajectory=trajectory, result=result, doubt=doubt, joints=len(choice.joints))
 
     def _row(self, row: SampleRow, judged: "_Judged") -> SampleRow:
         """Return the row of an arm."""

@@ -3,15 +3,16 @@
 import json
 
 import numpy as np
-import pyarrow as pa
 import pytest
-from pyarrow import parquet
 
+from kinebench_drake.cli import main
 from kinebench_drake.formats.trajectories.reading import PERCENT, Reading
 from kinebench_drake.formats.trajectories.trajectory import ColumnTable, NumberColumn
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.arm import list_arms, load_robot
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.audit import AuditConfig, audit_trajectories
+from tests.arm_sets import minimum_jerk, write_episodes
 
 N = 60
 INSTALLED = {str(arm["name"]) for arm in list_arms() if "missing" not in arm}
@@ -42,22 +43,7 @@ def write_dataset(folder, robot, robot_type, names, unit):
     q = robot.rest_q + 0.1 * np.sin(np.linspace(0.0, 3.0, N))[:, None] * np.linspace(0.5, 1.0, len(robot.joints))
     state = np.full((N, len(names)), 0.5)
     state[:, : q.shape[1]] = np.rad2deg(q) if unit == "deg" else q
-    (folder / "data/chunk-000").mkdir(parents=True)
-    (folder / "meta").mkdir()
-    columns = {
-        "observation.state": pa.array(state.tolist(), pa.list_(pa.float64())),
-        "timestamp": np.arange(N) / 30.0,
-        "frame_index": np.arange(N),
-        "episode_index": np.zeros(N, dtype=int),
-        "index": np.arange(N),
-        "task_index": np.zeros(N, dtype=int),
-    }
-    parquet.write_table(pa.table(columns), folder / "data/chunk-000/episode_000000.parquet")
-    features = {"observation.state": {"dtype": "float32", "shape": [len(names)], "names": names}}
-    info = {"codebase_version": "v2.1", "robot_type": robot_type, "fps": 30, "features": features, "total_episodes": 1}
-    info |= {"data_path": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet", "chunks_size": 1000}
-    (folder / "meta/info.json").write_text(json.dumps(info))
-    (folder / "meta/episodes.jsonl").write_text(json.dumps({"episode_index": 0, "tasks": ["t"], "length": N}) + "\n")
+    write_episodes(folder, robot_type, names, [state])
     return q
 
 
@@ -86,6 +72,53 @@ def test_layouts_of_public_data_sets_are_audited(tmp_path, layout):
     assert row.status.value == "ok", row.reason
     assert not {violation.kind.value for violation in row.violations} & {"joint_limit", "velocity", "discontinuity"}
     assert json.loads((tmp_path / "out/results.json").read_text())["config"]["robot"] == name
+
+
+def run_program(*arguments):
+    """Run the program and return its exit status."""
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    return stop.value.code
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("joints", [5, 6])
+def test_the_gate_of_a_plain_command_holds_for_arms_of_five_and_six_joints(tmp_path, write_arm, capfd, joints):
+    if joints == 5:
+        robot = load_robot("so100")
+        names = SO100[:5]
+        options = ("--robot", "so100")
+    else:
+        urdf = write_arm(joints=6)
+        robot = load_robot(urdf, "tool")
+        names = [f"j{k}.pos" for k in range(1, 7)]
+        options = ("--robot", urdf, "--tool", "tool")
+    far = robot.rest_q + 0.1
+    too_far = far.copy()
+    too_far[2] = robot.limits.upper[2] + 0.3
+    episodes = [minimum_jerk(robot.rest_q, end, 60 + 10 * k) for k, end in enumerate((far, too_far, far - 0.15))]
+    write_episodes(tmp_path / "set", "so100" if joints == 5 else None, names, episodes)
+    (tmp_path / "reading.json").write_text(json.dumps({"angle": "rad"}))
+    options += ("--reading", tmp_path / "reading.json", "--fail-on", "joint_limit", "--sarif", tmp_path / "log.sarif")
+    options += ("--write-kept", tmp_path / "kept", "--out", tmp_path / "out", "--replays", "1")
+    assert run_program("audit", tmp_path / "set", *options) == 1
+    assert "bound missed: joint_limit: 1 sample, such as set-episode_000001" in "".join(capfd.readouterr())
+    kept = (tmp_path / "kept/meta/episodes.jsonl").read_text().splitlines()
+    assert [json.loads(line)["length"] for line in kept] == [60, 80]
+    [result] = json.loads((tmp_path / "log.sarif").read_text())["runs"][0]["results"]
+    assert result["message"]["text"].startswith("set-episode_000001, frames ")
+    assert (tmp_path / "out/replays/set-episode_000001.html").is_file()
+
+
+def test_rows_and_report_say_what_five_joints_follow(tmp_path):
+    robot = load_robot("so100")
+    X = ArmPlant(robot).forward_path(minimum_jerk(robot.rest_q, robot.rest_q + 0.2, 40))
+    np.savez(tmp_path / "poses.npz", t_s=np.arange(40) / 10.0, base_from_tcp=X)
+    row = audit(tmp_path / "poses.npz", tmp_path / "out", robot="so100")
+    assert row.followed is not None
+    assert row.followed.startswith("position and the direction of one axis of the tool")
+    assert row.followed in (tmp_path / "out/report.html").read_text()
+    assert row.feasible is True
 
 
 def test_a_robot_type_that_contradicts_the_option_gives_no_verdict(tmp_path):
