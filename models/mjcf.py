@@ -20,7 +20,8 @@ _SERVOS = ("position", "velocity", "intvelocity", "general")  # actuators whose 
 def read_mjcf(source: Path, root: ElementTree.Element) -> ElementTree.Element:
     """Return the root element of a URDF with the links, joints, masses and shapes of an MJCF file.
 
-    Meshes that Drake does not read are converted into the user's cache folder. Free joints become fixed.
+    Meshes that Drake does not read are converted into the user's cache folder. Free joints become fixed; a free body
+    without joints is an object of the scene and has no shapes.
 
     Raises:
         InputError: a mesh or the file cannot be read.
@@ -46,17 +47,20 @@ def read_mjcf(source: Path, root: ElementTree.Element) -> ElementTree.Element:
     except Exception as error:
         raise InputError(f"{source.name}: Drake cannot load this MJCF ({cause(error)})") from None
     urdf = ElementTree.Element("robot", name=source.stem)
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    carrying = {joint.parent_body().name() for joint in joints}
+    free = {joint.child_body().name() for joint in joints if joint.type_name().endswith("floating")}
     for index in range(plant.num_bodies()):
         body = plant.get_body(BodyIndex(index))
         link = ElementTree.SubElement(urdf, "link", name=body.name())
-        if index:  # not the world
+        if index and body.name() not in free - carrying:  # neither the world nor an object that lies about
             _add_body(link, body, plant, graph.model_inspector())
     efforts = {}
     for index in plant.GetJointActuatorIndices():
         actuator = plant.get_joint_actuator(index)
         efforts[actuator.joint().name()] = actuator.effort_limit()
-    for index in plant.GetJointIndices():
-        _add_joint(urdf, plant.get_joint(index), efforts)
+    for joint in joints:
+        _add_joint(urdf, joint, efforts)
     return urdf
 
 
@@ -149,7 +153,8 @@ def _add_joint(urdf: ElementTree.Element, joint: Any, efforts: dict[str, float])
         )
         child = between
     X_PF = joint.frame_on_parent().GetFixedPoseInBodyFrame()
-    X_PF = X_PF if kind != "fixed" else X_PF @ X_CM.inverse()
+    if kind == "fixed":
+        X_PF = X_PF @ (joint.X_FM() if joint.type_name() == "weld" else joint.GetDefaultPose()) @ X_CM.inverse()
     element = ElementTree.SubElement(urdf, "joint", name=joint.name(), type=kind)
     _link(element, joint.parent_body().name(), child, X_PF)
     if kind != "fixed":

@@ -36,6 +36,8 @@ class NamedArm(BaseModel):
     """Link whose frame is G, or its pose in a link, as in `--tool`."""
     columns: tuple[str, ...] = ()
     """Names of the joints in data sets; empty if they are those of the description."""
+    floor_m: float = 0.0
+    """Height in B of what the arm stands on [m], the table where the user states none."""
     arms: tuple[str, ...] = ()
     """Names of the arms of a pair, left first; empty for one arm."""
     source: str = ""

@@ -121,7 +121,7 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
     labels = {"model": config.model, "task": config.task}
     arms = choose_arms(config.robot_options(), choice.reading)
     robots = [arm.options.load() for arm in arms]
-    choice = replace(choice, joints=robots[0].column_names)
+    choice = replace(choice, joints=robots[0].column_names, reading=arms[0].reading)
     samples = find_trajectories(config.source, choice, out=config.out, warnings=warnings, **labels)
     for warning in warnings:
         observer.warn(warning)

@@ -15,7 +15,7 @@ from kinebench_drake.formats.trajectories.trajectory import Trajectory
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.models.arm import PANDA, ROBOTS, load_robot
-from kinebench_drake.models.named_arm import UNNAMED
+from kinebench_drake.models.named_arm import UNNAMED, named_arms
 from kinebench_drake.models.robot import Robot
 from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
@@ -47,13 +47,15 @@ class RobotOptions:
     """Folder of the packages of package:// URIs."""
 
     def __post_init__(self) -> None:
-        """Check the height of the table; an arm that is not named is the Panda.
+        """Check the height of the table, by default the floor's; an arm that is not named is the Panda.
 
         Raises:
             UsageError: it is out of range.
         """
         if self.robot == UNNAMED:
             object.__setattr__(self, "robot", PANDA)
+        if self.table_height_m == 0.0 and self.robot in named_arms():
+            object.__setattr__(self, "table_height_m", named_arms()[self.robot].floor_m)
         if not abs(self.table_height_m) <= MAX_TABLE_HEIGHT_M:
             raise UsageError(
                 f"$table_height_m is {self.table_height_m}, expected metres from {-MAX_TABLE_HEIGHT_M} to "

@@ -17,7 +17,7 @@ BODY = (
 )
 HEAD = (
     '<mujoco model="small"><compiler angle="degree" meshdir="meshes"/><asset><mesh name="m" file="ball.stl"/></asset>'
-    '<worldbody><body name="base"><geom type="mesh" mesh="m" mass="1"/>'
+    '<worldbody><body name="base" pos="0.1 0.2 0.3" quat="0.6 0 0 0.8"><geom type="mesh" mesh="m" mass="1"/>'
 )
 
 
@@ -30,17 +30,20 @@ def mjcf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "0 0 1")
     shapes = ("sphere", "capsule", "cylinder", "box", "sphere", "box")
     bodies = "".join(BODY.format(k=k, axis=a, shape=s) for k, (a, s) in enumerate(zip(axes, shapes, strict=True)))
-    finger = '<body name="f"><joint name="slide" type="slide" axis="0 1 0" range="-0.03 0"/><geom size="0.01"/></body>'
+    finger = '<body name="tip" pos="0 0.1 0"/>'
+    finger += '<body name="f"><joint name="slide" type="slide" axis="0 1 0" range="-0.03 0"/><geom size="0.01"/></body>'
     motor = '<actuator><motor joint="j0" ctrllimited="true" ctrlrange="-9 9"/>'
     motor += '<position joint="j1" ctrllimited="true" ctrlrange="-1 1" forcerange="-5 5"/></actuator>'
+    cube = '<body name="cube"><freejoint/><geom size="0.02"/></body>'
     path = tmp_path / "small.xml"
-    path.write_text(HEAD + bodies + finger + "</body>" * 7 + f"</worldbody>{motor}</mujoco>")
+    path.write_text(HEAD + bodies + finger + "</body>" * 7 + f"{cube}</worldbody>{motor}</mujoco>")
     return path
 
 
 def test_an_mjcf_moves_and_weighs_as_in_drake(mjcf: Path, tmp_path: Path) -> None:
     plant = ArmPlant(load_robot(mjcf, "b5"))
     robot = plant.robot
+    assert "cube" not in {solid.link for solid in CollisionModel(plant).arm_solids().values()}
     assert robot.joints == tuple(f"j{k}" for k in range(6))
     assert (robot.finger_joints, robot.finger_signs) == (("slide",), (-1.0,))
     np.testing.assert_allclose(robot.limits.upper, np.pi / 3)
@@ -58,6 +61,8 @@ def test_an_mjcf_moves_and_weighs_as_in_drake(mjcf: Path, tmp_path: Path) -> Non
     drake.GetJointByName("slide").set_translation(context, -0.03)
     pose = drake.GetBodyByName("b5").EvalPoseInWorld(context).GetAsMatrix4()
     np.testing.assert_allclose(plant.forward(q), pose, atol=1e-9)
+    pose = drake.GetBodyByName("tip").EvalPoseInWorld(context).GetAsMatrix4()
+    np.testing.assert_allclose(plant.link_poses(q)["tip"], pose, atol=1e-9)
     gravity = -drake.CalcGravityGeneralizedForces(context)[:6]
     np.testing.assert_allclose(plant.torque(q, np.zeros(6), np.zeros(6)), gravity, atol=1e-6)
     assert {solid.link for solid in CollisionModel(plant).movable} == {*(f"b{k}" for k in range(6)), "f"}

@@ -217,7 +217,8 @@ def _by_joint_names(group: _Group, joints: Sequence[str]) -> list[int] | None:
     sides = {*SIDES} & {word for joint in wanted for word in joint}
     if not sides:  # of one arm, or of the one that the user names
         names = [tuple(word for word in name if word not in SIDES) for name in names]
-    places = [[k for k, name in enumerate(names) if name == joint] for joint in wanted]
+    # joined, as some write WristYaw and Wristyaw
+    places = [[k for k, name in enumerate(names) if "".join(name) == "".join(joint)] for joint in wanted]
     return [own[0] for own in places] if all(len(own) == 1 for own in places) else None
 
 
