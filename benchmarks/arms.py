@@ -5,6 +5,7 @@ of the description, by Drake's inverse dynamics and by Drake's signed distances,
 """
 
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -27,6 +28,8 @@ DEPTH_M = 0.01
 """Least depth of planted contacts, and least clearance of clean motions [m]."""
 JUMP_M = 0.12
 """Least jump of the TCP [m]."""
+USUAL = 0.5
+"""Share of postures from which on a pair of links is near by design: clean motions then only do not touch."""
 EXCESS = (1.3, 3.0)
 """Planted speeds and torques over their limits."""
 
@@ -54,7 +57,10 @@ class ArmWorker:
         middle = 0.5 * (self.plant.lower + self.plant.upper)
         room = 0.97 * np.minimum(0.5 * (self.plant.upper - self.plant.lower), np.pi)
         self._ends = middle - room, middle + room
-        own = self.plant.forward_path(np.random.default_rng(0).uniform(*self._ends, size=(2000, len(room))))
+        postures = np.random.default_rng(0).uniform(*self._ends, size=(2000, len(room)))
+        near = Counter(pair for q in postures[::20] for pair, _ in self._near(q))
+        self._close = {pair for pair, count in near.items() if count > USUAL * len(postures[::20])}
+        own = self.plant.forward_path(postures)
         self._reach_m = float(np.linalg.norm(own[:, :3, 3], axis=-1).max())
         weight = float(np.median(self.plant.effort_limits[:2])) / (9.81 * self._reach_m)
         self._loaded = ArmPlant(load_robot(name, payload_kg=round(min(2.0 * EXCESS[0] * weight, 50.0), 1)))
@@ -128,8 +134,14 @@ class ArmWorker:
         if (speed > USED * self.plant.velocity_limits).any() or self._height(q) < DEPTH_M:
             return False
         torque = np.array([self.plant.torque(row, 0.0 * row, 0.0 * row) for row in q[::6]])
-        near = (self.plant.query(row).ComputeSignedDistancePairwiseClosestPoints(DEPTH_M) for row in q[::2])
-        return bool((np.abs(torque) <= USED * self.plant.effort_limits).all()) and not any(map(len, near))
+        near = [(pair, distance) for row in q[::2] for pair, distance in self._near(row)]
+        touching = any(distance < 0.0 or pair not in self._close for pair, distance in near)
+        return bool((np.abs(torque) <= USED * self.plant.effort_limits).all()) and not touching
+
+    def _near(self, q: Array) -> list[tuple[object, float]]:
+        """Return the pairs of shapes that are nearer than DEPTH_M, with their distances [m]."""
+        pairs = self.plant.query(q).ComputeSignedDistancePairwiseClosestPoints(DEPTH_M)
+        return [((pair.id_A, pair.id_B), pair.distance) for pair in pairs]
 
 
 def arm_table(trials: Sequence[tuple[str, ArmTrial]]) -> Iterator[str]:
