@@ -132,6 +132,8 @@ def test_one_arm_of_two_is_still_chosen_by_its_name(panda, audit, tmp_path):
     _, rows = audit(tmp_path / "a.npz", {"arm": "right"})
     assert rows["a"].arms is None
     assert rows["a"].columns.startswith("right_q")
+    _, rows = audit(tmp_path / "a.npz", overwrite=True)  # neither arm in the place of the other
+    assert '2 arms (left, right): --reading FILE with {"arm": "left"} chooses one' in rows["a"].reason
 
 
 @pytest.mark.parametrize(

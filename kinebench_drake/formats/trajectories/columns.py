@@ -149,10 +149,14 @@ def _by_names(table: ColumnTable, wanted: Reading) -> Reading:
         if reading is not None:
             return reading
     count = {5: "five", 6: "six", 7: "seven"}[len(table.joints)]
-    arms = sorted({arm.strip("_./ ") for group in _groups(table, wanted) for arm in _arms(group, len(table.joints))})
+    arms = {arm.strip("_./ ") for group in _groups(table, wanted) for arm in _arms(group, len(table.joints))}
+    arms = sorted(arms | _sides_of(_joint_arrays(table, wanted)))
     telling = [arm for arm in arms if _find_joints(table, wanted.change(arm=arm))]
     if len(arms) > 1 and telling:
-        several = f'{len(arms)} arms ({", ".join(arms)}): $reading FILE with {{"arm": "{telling[0]}"}} chooses one'
+        several = (
+            f'{len(arms)} arms ({", ".join(arms)}): $reading FILE with {{"arm": "{telling[0]}"}} chooses one, one with '
+            '"arms" (docs/robots.md) places both'
+        )
         raise InputError(f"no column is certain to hold the {count} joint angles of one arm; there are {several}")
     raise InputError(
         f"no column is known to hold {count} joint angles or a pose; found {table.describe()}; name some in "
@@ -241,12 +245,26 @@ def _find_joints(table: ColumnTable, wanted: Reading) -> Reading | None:
         if len(arms) == 1:
             chosen = group.references([k for _, k in sorted(arms[0].items())])
             return wanted.change(columns=chosen, layout=JOINTS)
+    fitting = _joint_arrays(table, wanted)
+    if fitting and (wanted.arm is not None or len(_sides_of(fitting)) < len(SIDES)):
+        return wanted.change(columns=(fitting[0].name,), layout=JOINTS)
+    return None
+
+
+def _joint_arrays(table: ColumnTable, wanted: Reading) -> list[NumberColumn]:
+    """Return the arrays whose names and sizes are those of joint angles."""
+    joints = len(table.joints)
+    fitting = []
     for column in _arrays(table, wanted):
         words = set(_words(re.split(r"[./]", column.name)[-1]))
         is_joints = words & {"qpos", "q"} or (words & _JOINT_WORDS and words & _ANGLE_WORDS)
         if column.size - joints in LAYOUTS[JOINTS] and (is_joints or (wanted.layout and column.size == joints)):
-            return wanted.change(columns=(column.name,), layout=JOINTS)
-    return None
+            fitting.append(column)
+    return fitting
+
+
+def _sides_of(columns: Sequence[NumberColumn]) -> set[str]:
+    return {*SIDES} & {word for column in columns for word in _words(column.name)}
 
 
 def _find_pose(table: ColumnTable, wanted: Reading) -> Reading | None:
