@@ -37,7 +37,7 @@ class ArmPair:
         self._solids: list[list[Solid]] = []
         self._frames: list[list[Any]] = []
         self._geometries: list[list[Any]] = []
-        is_shared = np.allclose(*X_WB)
+        is_shared = np.allclose(X_WB[0], X_WB[1])
         for k, plant in enumerate(plants):
             inspector = plant.query(plant.robot.rest_q).inspector()
             own = CollisionModel(plant).arm_solids().items()

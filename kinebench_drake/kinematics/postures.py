@@ -217,7 +217,8 @@ class NumericSolver(PostureSolver):
 
     @override
     def out_of_reach_m(self, X_BG: Array) -> Array:
-        return np.maximum(np.linalg.norm(X_BG[:, :3, 3] - self._shoulder, axis=-1) - self._reach_m, 0.0)
+        beyond = np.linalg.norm(X_BG[:, :3, 3] - self._shoulder, axis=-1) - self._reach_m
+        return np.asarray(np.maximum(beyond, 0.0))
 
 
 def _reach(plant: ArmPlant) -> tuple[Array, float]:
@@ -233,7 +234,7 @@ def _reach(plant: ArmPlant) -> tuple[Array, float]:
         ends = np.vstack([points + along[:, None] * axes, tcp])
         return float(np.linalg.norm(np.diff(ends, axis=0), axis=-1).sum())
 
-    best = minimize(length, np.zeros(chain.n_joints), method="Powell").x
+    best = np.asarray(minimize(length, np.zeros(chain.n_joints), method="Powell").x)
     return points[0] + best[0] * axes[0], length(best) if chain.turns.all() else np.inf
 
 

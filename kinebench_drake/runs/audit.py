@@ -128,6 +128,8 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
     samples = config.name_models(samples)
     for remark in dict.fromkeys(remark for robot in robots for remark in robot.remarks):
         observer.warn(f"{Path(config.robot).name}: {remark}")
+    if len(arms) > 1:
+        observer.warn("collisions of the two arms with each other are checked")
     if len(arms) > 1 and config.replays:
         observer.warn("rows of two arms have no 3D replays")
         config = replace(config, replays=0)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.formats.trajectories.reading import SIDES, Reading, pose_of
@@ -69,13 +70,13 @@ def share_times(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
     times = [trajectory.t_s for trajectory in trajectories]
     if len({*map(len, times)}) == 1 and all((own == times[0]).all() for own in times):
         return [*trajectories]
-    common = np.intersect1d(*times)
+    common = np.intersect1d(times[0], times[1])
     if len(common) < 2:
         raise InputError("the arms share fewer than two times")
     return [_at(trajectory, np.isin(trajectory.t_s, common)) for trajectory in trajectories]
 
 
-def _at(trajectory: Trajectory, rows: Array) -> Trajectory:
+def _at(trajectory: Trajectory, rows: NDArray[np.bool_]) -> Trajectory:
     """Return the rows (T,) of a trajectory that are True."""
     names = ("t_s", "X_BG", "q", "tracked", "finger_width_m")
     arrays = {name: array[rows] for name in names if (array := getattr(trajectory, name)) is not None}
@@ -110,7 +111,7 @@ def find_arm_collisions(
     depths = np.array([np.nan_to_num(contact.distance_m) for contact in contacts])
     again = np.array([np.isfinite(contact.distance_m) for contact in smooth]).any(axis=0)
     violations = []
-    for run in segments((depths < 0.0).any(axis=0) & again):
+    for run in segments(np.asarray((depths < 0.0).any(axis=0) & again)):
         deepest = int(depths[:, run].min(axis=1).argmin())
         link, body = _with_sides(contacts[deepest].links, sides)
         worst = float(depths[deepest, run].min())

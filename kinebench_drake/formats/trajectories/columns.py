@@ -149,8 +149,8 @@ def _by_names(table: ColumnTable, wanted: Reading) -> Reading:
         if reading is not None:
             return reading
     count = {5: "five", 6: "six", 7: "seven"}[len(table.joints)]
-    arms = {arm.strip("_./ ") for group in _groups(table, wanted) for arm in _arms(group, len(table.joints))}
-    arms = sorted(arms | _sides_of(_joint_arrays(table, wanted)))
+    numbered = {arm.strip("_./ ") for group in _groups(table, wanted) for arm in _arms(group, len(table.joints))}
+    arms = sorted(numbered | _sides_of(_joint_arrays(table, wanted)))
     telling = [arm for arm in arms if _find_joints(table, wanted.change(arm=arm))]
     if len(arms) > 1 and telling:
         several = (

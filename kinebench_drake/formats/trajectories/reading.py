@@ -96,7 +96,7 @@ class Reading(BaseModel):
     """Meaning of these numbers, one of LAYOUTS."""
     arm: str | None = None
     """Text in the names of one arm's numbers, where there are several arms."""
-    arms: Mapping[Literal["left", "right"], _Numbers | str] | None = None
+    arms: Mapping[str, _Numbers | str] | None = None
     """Two arms in a row: for each the pose of its base in a common frame, x y z [m] and a quaternion wxyz if it is
     turned, or the link of its TCP in a description of both."""
     length: Literal["m", "cm", "mm"] | None = None
