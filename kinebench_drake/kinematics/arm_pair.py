@@ -5,11 +5,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import FramePoseVector, GeometryFrame, GeometryInstance, Role, SceneGraph
+from pydrake.geometry import (
+    CollisionFilterDeclaration,
+    FramePoseVector,
+    GeometryFrame,
+    GeometryInstance,
+    GeometrySet,
+    Role,
+    SceneGraph,
+)
 from pydrake.math import RigidTransform
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.collision import CollisionModel, Solid
+from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.plant import ArmPlant
 
 
@@ -34,31 +42,28 @@ class ArmPair:
         self._X_WB = X_WB
         graph: Any = SceneGraph()
         source = graph.RegisterSource("arms")
-        self._solids: list[list[Solid]] = []
-        self._frames: list[list[Any]] = []
-        self._geometries: list[list[Any]] = []
+        filters = graph.collision_filter_manager()
         is_shared = np.allclose(X_WB[0], X_WB[1])
+        self._frames: list[list[Any]] = []
+        self._links: dict[Any, str] = {}
+        at_rest = []
         for k, plant in enumerate(plants):
+            stages = plant.chain.motions(plant.robot.rest_q[None]).shape[1]
+            frames = [graph.RegisterFrame(source, GeometryFrame(f"{k}_{stage}")) for stage in range(stages)]
             inspector = plant.query(plant.robot.rest_q).inspector()
-            own = CollisionModel(plant).arm_solids().items()
-            chosen = [(id, solid) for id, solid in own if solid.stage > 0 or not is_shared]
-            names = [f"{k}_{i}" for i in range(len(chosen))]
-            frames = [graph.RegisterFrame(source, GeometryFrame(name)) for name in names]
-            geometries = []
-            for (id, solid), name, frame in zip(chosen, names, frames, strict=True):
+            own = []
+            for id, solid in CollisionModel(plant).arm_solids().items():
+                if is_shared and solid.stage == 0:
+                    continue
                 X_BS = plant.chain.home[solid.link] @ inspector.GetPoseInFrame(id).GetAsMatrix4()
-                copy = GeometryInstance(RigidTransform(X_BS), inspector.GetShape(id), name)
+                copy = GeometryInstance(RigidTransform(X_BS), inspector.GetShape(id), f"{k}_{len(own)}")
                 copy.set_proximity_properties(inspector.GetProperties(id, Role.kProximity))
-                geometries.append(graph.RegisterGeometry(source, frame, copy))
-            self._solids.append([solid for _, solid in chosen])
+                own.append(graph.RegisterGeometry(source, frames[solid.stage], copy))
+                self._links[own[-1]] = solid.link
+                at_rest += own[-1:] if solid.stage == 0 else []
+            filters.Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(own)))
             self._frames.append(frames)
-            self._geometries.append(geometries)
-        stages = [np.array([solid.stage for solid in own], dtype=np.intp) for own in self._solids]
-        self._stages = stages
-        self._balls = [[solid.ball() for solid in own] for own in self._solids]
-        radii = [np.array([radius for _, radius in own]) for own in self._balls]
-        self._reach = radii[0][:, None] + radii[1]
-        self._reach[(stages[0] == 0)[:, None] & (stages[1] == 0)] = -np.inf  # both at rest
+        filters.Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(at_rest)))
         self._graph = graph
         self._context = graph.CreateDefaultContext()
         self._port = graph.get_source_pose_port(source)
@@ -69,33 +74,24 @@ class ArmPair:
         Postures `q` (N, J) [rad] of each arm, NaN where unknown; finger gaps (N,) [m], the default where NaN.
         """
         rows = np.flatnonzero(np.isfinite(q[0]).all(axis=-1) & np.isfinite(q[1]).all(axis=-1))
-        motions = []
-        centers = []
-        for k, plant in enumerate(self._plants):
-            M = (self._X_WB[k] @ plant.chain.motions(q[k][rows], finger_width_m[k][rows]))[:, self._stages[k]]
-            middle = np.reshape([center for center, _ in self._balls[k]], (-1, 3))
-            motions.append(M)
-            centers.append((M[..., :3, :3] @ middle[..., None])[..., 0] + M[..., :3, 3])
-        near = np.linalg.norm(centers[0][:, :, None] - centers[1][:, None], axis=-1) < self._reach - tolerance_m
-        depths: dict[tuple[int, int], Array] = {}
-        for row in np.flatnonzero(near.any(axis=(1, 2))):
-            query = self._query([M[row] for M in motions])
-            for a, b in np.argwhere(near[row]).tolist():
-                pair = query.ComputeSignedDistancePairClosestPoints(self._geometries[0][a], self._geometries[1][b])
-                if pair.distance < -tolerance_m:
-                    depths.setdefault((a, b), np.full(len(q[0]), np.nan))[rows[row]] = pair.distance
-        return [self._contact(a, b, distance) for (a, b), distance in depths.items()]
-
-    def _contact(self, a: int, b: int, distance_m: Array) -> PairContact:
-        links = self._solids[0][a].link, self._solids[1][b].link
-        of_tools = all(link in plant.tool for link, plant in zip(links, self._plants, strict=True))
-        return PairContact(links=links, of_tools=of_tools, distance_m=distance_m)
-
-    def _query(self, motions: Sequence[Array]) -> Any:
-        """Return Drake's QueryObject with the solids moved by (S, 4, 4) of each arm."""
-        poses = FramePoseVector()
-        for frames, own in zip(self._frames, motions, strict=True):
-            for frame, M in zip(frames, own, strict=True):
-                poses.set_value(frame, RigidTransform(M))
-        self._port.FixValue(self._context, poses)
-        return self._graph.get_query_output_port().Eval(self._context)
+        motions = [
+            X @ plant.chain.motions(own[rows], width[rows])
+            for plant, X, own, width in zip(self._plants, self._X_WB, q, finger_width_m, strict=True)
+        ]
+        depths: dict[tuple[str, str], Array] = {}
+        for i, row in enumerate(rows):
+            poses = FramePoseVector()
+            for frames, M in zip(self._frames, motions, strict=True):
+                for frame, X in zip(frames, M[i], strict=True):
+                    poses.set_value(frame, RigidTransform(X))
+            self._port.FixValue(self._context, poses)
+            query = self._graph.get_query_output_port().Eval(self._context)
+            for pair in query.ComputeSignedDistancePairwiseClosestPoints(-tolerance_m):
+                links = self._links[pair.id_A], self._links[pair.id_B]  # ids grow, those of the first arm are less
+                distance = depths.setdefault(links, np.full(len(q[0]), np.nan))
+                distance[row] = np.fmin(distance[row], pair.distance)
+        tools = [plant.tool for plant in self._plants]
+        return [
+            PairContact(links=(a, b), of_tools=a in tools[0] and b in tools[1], distance_m=distance)
+            for (a, b), distance in depths.items()
+        ]
