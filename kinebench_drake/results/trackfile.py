@@ -61,10 +61,16 @@ def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curv
 
 
 def write_tracks(path: Path, arms: Mapping[str, Mapping[str, NDArray[np.generic]]]) -> None:
-    """Write the file of two arms: the arrays of each (`track_arrays`) with its name before theirs, and common times."""
-    arrays = {f"{name}_{key}": array for name, own in arms.items() for key, array in own.items() if key != "t_s"}
-    [t_s, *_] = (own["t_s"] for own in arms.values())
-    write_atomically(path, pack_arrays({"t_s": t_s, **arrays}))
+    """Write the file of arms with common times: of each its arrays (`track_arrays`), its name before theirs.
+
+    The only arm has the name "", and its file is that of `write_track`.
+    """
+    arrays = {
+        key if key == "t_s" or not name else f"{name}_{key}": array
+        for name, own in arms.items()
+        for key, array in own.items()
+    }
+    write_atomically(path, pack_arrays(arrays))
 
 
 def track_arrays(

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, name_options
 from kinebench_drake.formats.lerobot.dataset import INFO
 from kinebench_drake.formats.trajectories.reading import Reading, TrajectoryOptions
 from kinebench_drake.formats.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.formats.trajectories.trajectory import Trajectory, TrajectorySample
-from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json, as_type, read_object
 from kinebench_drake.metrics.recording_faults import find_action_lag, fingerprint, idle_ends
 from kinebench_drake.models.arm import PANDA, ROBOTS
@@ -22,7 +22,7 @@ from kinebench_drake.models.named_arm import UNNAMED, find_arm
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
-from kinebench_drake.results.trackfile import track_arrays, write_track, write_tracks
+from kinebench_drake.results.trackfile import track_arrays, write_tracks
 from kinebench_drake.runs.config import RunConfig, RunKind, SourceConfig
 from kinebench_drake.runs.evaluator import EXECUTABILITY, KINEMATIC_METRICS, Evaluator, judge_row
 from kinebench_drake.runs.gate import close_gate
@@ -31,7 +31,7 @@ from kinebench_drake.runs.reading_check import assess_readings, doubt_frame, dou
 from kinebench_drake.runs.resources import Resources, load_resources
 from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.runs.two_arms import ArmChoice, choose_arms, find_arm_collisions, join_rows, load_pair, share_times
-from kinebench_drake.track import GripperTrack, JointTrack
+from kinebench_drake.track import GripperTrack
 from kinebench_drake.violation import Violation
 
 if TYPE_CHECKING:  # loads Drake
@@ -176,21 +176,29 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, tuple[Resources, ...]]):
                 trajectories.append(tool.undo_turns(read_trajectory(sample, choice)))
             except InputError as error:
                 raise InputError(f"{error}; {doubt}" if doubt else str(error)) from None
-        path = artifact_path(self.config.out, "tracks", sample.id)
-        if len(tools) == 1:
-            judged = self._judge(sample, choices[0], tools[0], trajectories[0], doubts[0])
-            write_track(path, *judged.of_file())
-            return self._row(row, judged)
-        parts = zip(choices, tools, share_times(trajectories), doubts, strict=True)
-        both = {arm.side: self._judge(sample, *part) for arm, part in zip(self.arms, parts, strict=True)}
-        write_tracks(path, {side: track_arrays(*judged.of_file()) for side, judged in both.items()})
-        rows = {side: self._row(row, judged) for side, judged in both.items()}
-        results = [judged.result for judged in both.values() if judged.result is not None]
+        sides = [arm.side for arm in self.arms] if len(self.arms) > 1 else [""]
+        rows: dict[str, SampleRow] = {}
+        files: dict[str, Mapping[str, NDArray[np.generic]]] = {}
+        results: list[KinematicResult] = []
+        for side, choice, tool, own, asked in zip(
+            sides, choices, tools, share_times(trajectories), doubts, strict=True
+        ):
+            result, doubt = self._judge(sample, choice, tool, own, asked)
+            rows[side] = self._row(row, own, result, doubt, len(choice.joints))
+            if result is None:
+                files[side] = track_arrays(_pose_track(own), None, {})
+            else:
+                files[side] = track_arrays(result.track, result.joints, result.curves)
+                results.append(result)
+        write_tracks(artifact_path(self.config.out, "tracks", sample.id), files)
+        if len(sides) == 1:
+            return rows[sides[0]]
         contacts: list[Violation] = []
         doubt = None
-        if len(results) == len(both):
-            of_poses = any(judged.trajectory.q is None for judged in both.values())
-            contacts, doubt = find_arm_collisions(load_pair(self.arms, tools), results, [*both], of_poses=of_poses)
+        if len(results) == len(sides):
+            of_poses = any(trajectory.q is None for trajectory in trajectories)
+            pair = load_pair(tools, tuple(arm.place for arm in self.arms))
+            contacts, doubt = find_arm_collisions(pair, results, sides, of_poses=of_poses)
         return join_rows(row, rows, contacts, doubt)
 
     def _judge(
@@ -200,24 +208,30 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, tuple[Resources, ...]]):
         tools: Resources,
         trajectory: Trajectory,
         doubt: str | None,
-    ) -> "_Judged":
-        """Judge the trajectory of an arm unless it is doubtful how its numbers are to be read."""
+    ) -> tuple["KinematicResult | None", str | None]:
+        """Return the verdict on an arm's trajectory, or why there is none where its reading is doubtful."""
         result = None if doubt else judge_trajectory(tools, trajectory)
         if result is not None and trajectory.q is None:
             judge = partial(judge_trajectory, tools)
             doubt = doubt_frame(tools, sample, choice, result, judge, is_franka=self.config.robot in ROBOTS)
             result = None if doubt else result
-        return _Judged(trajectory=trajectory, result=result, doubt=doubt, joints=len(choice.joints))
+        return result, doubt
 
-    def _row(self, row: SampleRow, judged: "_Judged") -> SampleRow:
-        """Return the row of an arm."""
-        trajectory = judged.trajectory
-        result = judged.result
+    def _row(
+        self,
+        row: SampleRow,
+        trajectory: Trajectory,
+        result: "KinematicResult | None",
+        doubt: str | None,
+        joints: int,
+    ) -> SampleRow:
+        """Return the row of an arm with so many joints."""
         period_s = float(np.median(np.diff(trajectory.t_s)))
         lag = trajectory.commands and find_action_lag(*trajectory.commands, period_s)
         source = PeriodSource.TIME_STAMPS if self.config.rate_hz is None else PeriodSource.RATE
-        doubts = [name_options(judged.doubt)] if judged.doubt else []
-        is_partial = judged.joints == JOINT_COUNTS[0] and trajectory.q is None
+        doubts = [name_options(doubt)] if doubt else []
+        track = _pose_track(trajectory) if result is None else result.track
+        is_partial = joints == JOINT_COUNTS[0] and trajectory.q is None
         row = row.extended(
             **({"base_frame_reason": doubts[0]} if doubts else {}),
             frames=len(trajectory.t_s),
@@ -229,13 +243,13 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, tuple[Resources, ...]]):
             **({"followed": FOLLOWED_BY_FIVE} if is_partial else {}),
             columns=trajectory.columns,
             dropped_samples=trajectory.dropped,
-            idle_ends=idle_ends(judged.track if result is None else result.track),
+            idle_ends=idle_ends(track),
             fingerprint=fingerprint(trajectory.X_BG if trajectory.q is None else trajectory.q),
             **({} if lag is None else {"action_lag": lag}),
             warnings=[*doubts, *map(name_options, trajectory.warnings)],
         )
         reasons = dict.fromkeys(("", "feasible"), doubts[0]) if doubts else {}
-        return judge_row(row, result, reasons=reasons, tracked=judged.track.tracked)
+        return judge_row(row, result, reasons=reasons, tracked=trajectory.tracked)
 
     def _doubt(self, sample: TrajectorySample, choice: TrajectoryOptions, tools: Resources) -> str | None:
         """Return why the numbers have no verdict; None if there is no doubt how to read them."""
@@ -273,27 +287,6 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, tuple[Resources, ...]]):
         """Return format, seed, prompt and success."""
         success = {} if sample.success is None else {"success": sample.success}
         return {"format": sample.format.value, "seed": sample.seed, "prompt": sample.prompt, **success}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Judged:
-    """Trajectory of an arm and its verdict."""
-
-    trajectory: Trajectory
-    result: "KinematicResult | None"
-    """None if it is doubtful how the numbers are to be read."""
-    doubt: str | None
-    joints: int
-
-    @property
-    def track(self) -> GripperTrack:
-        """Track of the recorded poses."""
-        return _pose_track(self.trajectory)
-
-    def of_file(self) -> tuple[GripperTrack, JointTrack | None, Mapping[str, Array]]:
-        """Return track, joints and curves for the track file."""
-        result = self.result
-        return (self.track, None, {}) if result is None else (result.track, result.joints, result.curves)
 
 
 def judge_trajectory(tools: Resources, trajectory: Trajectory) -> "KinematicResult":

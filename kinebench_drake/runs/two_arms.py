@@ -1,16 +1,17 @@
 """Two arms in a row: which they are, what each is read and judged by, and one row of both."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
+from kinebench_drake.formats.trajectories.check import MIN_FRAMES
 from kinebench_drake.formats.trajectories.reading import SIDES, Reading, pose_of
 from kinebench_drake.formats.trajectories.trajectory import Trajectory
-from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import Json
 from kinebench_drake.metrics.executable import INFEASIBLE, UNDECIDED
 from kinebench_drake.models.named_arm import named_arms
@@ -26,6 +27,11 @@ if TYPE_CHECKING:  # loads Drake
     from kinebench_drake.metrics.kinematic_result import KinematicResult
 
 
+_ORIGIN = (0.0, 0.0, 0.0)
+_JOINED: Mapping[str, Callable[[Sequence[float]], float]] = {"motionless": all, "path_length_m": sum}
+"""How metrics of both arms become one, where the worse one does not count."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmChoice:
     """One arm of a run: the only one, or one of two."""
@@ -35,8 +41,8 @@ class ArmChoice:
     options: RobotOptions
     reading: Reading | None
     """How its numbers are read; None: by their names."""
-    X_WB: Array
-    """(4, 4) pose of its base in the frame that both share [m]."""
+    place: tuple[float, ...]
+    """Pose of its base in the frame that both share: x y z [m], and a quaternion wxyz if it is turned."""
 
 
 def choose_arms(options: RobotOptions, reading: Reading | None) -> tuple[ArmChoice, ...]:
@@ -47,7 +53,7 @@ def choose_arms(options: RobotOptions, reading: Reading | None) -> tuple[ArmChoi
     names = named_arms()[options.robot].arms if options.robot in named_arms() else ()
     own = reading or Reading()
     if not names and own.arms is None:
-        return (ArmChoice(side="", options=options, reading=reading, X_WB=np.eye(4)),)
+        return (ArmChoice(side="", options=options, reading=reading, place=_ORIGIN),)
     arms = []
     for k, side in enumerate(SIDES):
         place = (own.arms or {}).get(side)
@@ -55,29 +61,28 @@ def choose_arms(options: RobotOptions, reading: Reading | None) -> tuple[ArmChoi
         half = len(own.columns or ()) // 2
         columns = own.columns and (own.columns[:half], own.columns[half:])[k]
         chosen = replace(options, robot=names[k] if names else options.robot, tool=tool)
-        X_WB = pose_of(None if isinstance(place, str) else place)
+        base = place if isinstance(place, tuple) else _ORIGIN
         choice = own.change(arm=side, arms=None, columns=columns)
-        arms.append(ArmChoice(side=side, options=chosen, reading=choice, X_WB=X_WB))
+        arms.append(ArmChoice(side=side, options=chosen, reading=choice, place=base))
     return tuple(arm for arm in arms if own.arm in (None, arm.side))
 
 
 def share_times(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
-    """Return the trajectories of both arms at the times of both: the rows that repeat a state differ.
+    """Return the trajectories at the times that all have: of two arms the rows that repeat a state may differ.
 
     Raises:
         InputError: there are fewer than two such times.
     """
-    times = [trajectory.t_s for trajectory in trajectories]
-    if len({*map(len, times)}) == 1 and all((own == times[0]).all() for own in times):
-        return [*trajectories]
-    common = np.intersect1d(times[0], times[1])
-    if len(common) < 2:
-        raise InputError("the arms share fewer than two times")
+    common = np.intersect1d(trajectories[0].t_s, trajectories[-1].t_s)
+    if len(common) < MIN_FRAMES:
+        raise InputError(f"the arms share {len(common)} times, a path needs at least {MIN_FRAMES}")
     return [_at(trajectory, np.isin(trajectory.t_s, common)) for trajectory in trajectories]
 
 
 def _at(trajectory: Trajectory, rows: NDArray[np.bool_]) -> Trajectory:
     """Return the rows (T,) of a trajectory that are True."""
+    if rows.all():
+        return trajectory
     names = ("t_s", "X_BG", "q", "tracked", "finger_width_m")
     arrays = {name: array[rows] for name in names if (array := getattr(trajectory, name)) is not None}
     return replace(trajectory, **arrays, commands=None)
@@ -144,7 +149,7 @@ def join_rows(
     others = [reason for own in rows for reason in own.executable_reasons if reason not in (INFEASIBLE, UNDECIDED)]
     metrics, reasons = _join_metrics(sides, contacts)
     if feasible is None:
-        reasons["feasible"] = doubt or _first_reason(sides, "feasible")
+        reasons["feasible"] = doubt or _reason(sides, "feasible")
     details: dict[str, Json] = {
         side: {**own.details, "metrics": own.metrics.numbers, "frames_tracked": own.frames_tracked}
         for side, own in sides.items()
@@ -176,6 +181,12 @@ def join_rows(
     )
 
 
+def _reason(sides: Mapping[str, SampleRow], name: str) -> str:
+    """Return why a value of one of the arms is null."""
+    stated = (f"{side}: {own.null_reasons[name]}" for side, own in sides.items() if name in own.null_reasons)
+    return next(stated, "unmeasurable on this sample")
+
+
 def _join_metrics(
     sides: Mapping[str, SampleRow], contacts: Sequence[Violation]
 ) -> tuple[dict[str, MetricValue], dict[str, str]]:
@@ -187,14 +198,10 @@ def _join_metrics(
             continue
         values = [own.metrics.number(name) for own in sides.values()]
         numbers = [value for value in values if value is not None]
-        if name == "motionless":
-            metrics[name] = all(numbers) if len(numbers) == len(values) else None
-        elif name == "path_length_m":
-            metrics[name] = sum(numbers) if len(numbers) == len(values) else None
-        else:
-            metrics[name] = worst_value(name.removesuffix(BOUND), numbers) if len(numbers) == len(values) else None
+        join = _JOINED.get(name, partial(worst_value, name.removesuffix(BOUND)))
+        metrics[name] = None if None in values else join(numbers)
         if metrics[name] is None:
-            reasons[name] = _first_reason(sides, name)
+            reasons[name] = _reason(sides, name)
     score = metrics.get(EXECUTABILITY)
     if contacts and isinstance(score, float):
         excess = max(violation.value / violation.limit for violation in contacts)
@@ -202,13 +209,9 @@ def _join_metrics(
     return metrics, reasons
 
 
-def _first_reason(sides: Mapping[str, SampleRow], name: str) -> str:
-    stated = [f"{side}: {own.null_reasons[name]}" for side, own in sides.items() if name in own.null_reasons]
-    return stated[0] if stated else "unmeasurable on this sample"
-
-
-def load_pair(arms: Sequence[ArmChoice], tools: Sequence[Resources]) -> "ArmPair":
-    """Return the model of the distances between two arms."""
+@lru_cache(maxsize=1)
+def load_pair(tools: tuple[Resources, ...], places: tuple[tuple[float, ...], ...]) -> "ArmPair":
+    """Return the model of the distances between two arms, see `ArmChoice.place`."""
     from kinebench_drake.kinematics.arm_pair import ArmPair
 
-    return ArmPair([tool.plant for tool in tools], [arm.X_WB for arm in arms])
+    return ArmPair([tool.plant for tool in tools], [pose_of(place) for place in places])
