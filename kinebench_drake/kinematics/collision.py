@@ -330,6 +330,7 @@ class CollisionModel:
                     near.setdefault((pair.id_A, pair.id_B), []).append((i, pair))
         least = np.full((2, len(q)), np.inf)
         solids: list[list[tuple[Solid, Solid] | None]] = [[None] * len(q), [None] * len(q)]
+        doubtful: list[tuple[float, int, int, tuple[Solid, Solid]]] = []
         for (id_A, id_B), entries in near.items():
             A = self._solids[id_A]
             B = self._solids[id_B]
@@ -339,15 +340,19 @@ class CollisionModel:
             frames = np.array([frame for frame, _ in entries])
             distance = np.array([pair.distance for _, pair in entries])
             gap = slab_width(A, B, M[frames], np.array([pair.nhat_BA_W for _, pair in entries]))
-            for k in np.flatnonzero((distance > 0.0) & (gap < distance - _CERTAIN_M)):
-                if A.axes is None and B.axes is None:
-                    a, b = nearest_points(A, B, M[frames[k]])
-                    distance[k] = np.linalg.norm(a - b)
             kind = int(bool(self._blocks & {id_A, id_B}))
-            for frame, value in zip(frames, distance, strict=True):
+            unsure = (distance > 0.0) & (gap < distance - _CERTAIN_M) & (A.axes is None) & (B.axes is None)
+            doubtful += [(width, frame, kind, (A, B)) for width, frame in zip(gap[unsure], frames[unsure], strict=True)]
+            for frame, value in zip(frames[~unsure], distance[~unsure], strict=True):
                 if value < least[kind, frame]:
                     least[kind, frame] = value
                     solids[kind][frame] = (A, B)
+        for width, frame, kind, pair in sorted(doubtful, key=lambda entry: entry[0]):
+            if width < least[kind, frame]:  # the distance is no less than the gap
+                a, b = nearest_points(*pair, M[frame])
+                if (value := float(np.linalg.norm(a - b))) < least[kind, frame]:
+                    least[kind, frame] = value
+                    solids[kind][frame] = pair
         least[np.isinf(least)] = np.nan
         return least, solids, near
 
