@@ -72,9 +72,6 @@ def slab_width(A: Solid, B: Solid, M: Array, n: Array) -> Array:
     return np.asarray(A.least(n_A) + B.least(-n_B) + offset)
 
 
-_MANY_VERTICES = 400  # beyond this, nearest points are found among few vertices first; two links of the Panda have 304
-
-
 def nearest_points(A: Solid, B: Solid, M: Array) -> tuple[Array, Array]:
     """Return the nearest points (3,) of two separate polytopes, in B, by motions `M` (stages, 4, 4).
 
@@ -82,23 +79,6 @@ def nearest_points(A: Solid, B: Solid, M: Array) -> tuple[Array, Array]:
     at 1 by a heavy weight (C. L. Lawson and R. J. Hanson, "Solving Least Squares Problems", 1974, ch. 22 and 23).
     """
     points_A, points_B = (transform_points(M[solid.stage], solid.points) for solid in (A, B))
-    if len(points_A) + len(points_B) <= _MANY_VERTICES:
-        return _nearest_combinations(points_A, points_B)
-    i = [int(np.linalg.norm(points_A - points_B.mean(axis=0), axis=-1).argmin())]
-    j = [int(np.linalg.norm(points_B - points_A[i[0]], axis=-1).argmin())]
-    while True:  # of a few vertices, until none lies nearer along the line between the points
-        a, b = _nearest_combinations(points_A[i], points_B[j])
-        n = a - b
-        i_next = int((points_A @ n).argmin())
-        j_next = int((points_B @ n).argmax())
-        if (i_next in i and j_next in j) or n @ (points_A[i_next] - points_B[j_next]) > n @ n - _CERTAIN_M**2:
-            return a, b
-        i = [*i, i_next] if i_next not in i else i
-        j = [*j, j_next] if j_next not in j else j
-
-
-def _nearest_combinations(points_A: Array, points_B: Array) -> tuple[Array, Array]:
-    """Return the nearest points (3,) of the convex hulls of points (V, 3)."""
     heavy = 1e3
     n = len(points_A)
     system = np.zeros((5, n + len(points_B)))
