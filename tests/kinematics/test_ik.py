@@ -8,6 +8,7 @@ from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver
+from kinebench_drake.models.arm import load_robot
 from kinebench_drake.models.panda.description import rest_q
 from kinebench_drake.track import IkStatus
 
@@ -105,3 +106,16 @@ def test_newton_exceeds_joint_limits_only_if_unbounded(plant: ArmPlant) -> None:
 def test_an_invalid_pose_is_refused(plant: ArmPlant, bad: Array) -> None:
     with pytest.raises(InputError, match="X_BG"):
         solve_pose(plant, bad, rest_q())
+
+
+@pytest.mark.parametrize("name", ["so100", "xarm7"])
+def test_poses_beyond_the_reach_of_other_arms_are_refused_by_a_bound(name: str) -> None:
+    arm = ArmPlant(load_robot(name))
+    solver = posture_solver(arm)
+    q = np.random.default_rng(0).uniform(arm.lower, arm.upper, size=(2000, len(arm.lower)))
+    X = arm.forward_path(q)
+    assert not solver.out_of_reach_m(X).any()
+    far = X[0] @ make_pose(np.eye(3), [2.0, 0.0, 0.0])
+    assert solver.out_of_reach_m(far[None])[0] > 0.5
+    assert [len(postures) for postures in solver.all(np.stack([X[0], far]), 8)][1] == 0
+    assert solve_pose(arm, far, arm.robot.rest_q).status is IkStatus.UNREACHABLE

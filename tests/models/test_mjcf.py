@@ -69,7 +69,13 @@ def test_an_mjcf_moves_and_weighs_as_in_drake(mjcf: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    "text", ["<mujoco><worldbody><body/></worldbody", '<mujoco><asset><mesh file="no.stl"/></asset></mujoco>']
+    "text",
+    [
+        "<mujoco><worldbody><body/></worldbody",
+        '<mujoco><asset><mesh file="no.stl"/></asset></mujoco>',
+        '<mujoco><include file="bad.xml"/></mujoco>',
+        '<mujoco><include file="no.xml"/></mujoco>',
+    ],
 )
 def test_an_unusable_mjcf_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
     path = tmp_path / "bad.xml"
