@@ -9,7 +9,7 @@ from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_diff
 from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.postures import posture_solver, spread_postures
+from kinebench_drake.kinematics.postures import NumericSolver, posture_solver, spread_postures
 from kinebench_drake.track import IkStatus
 
 POSITION_TOLERANCE_M = 1e-6
@@ -20,6 +20,8 @@ ROTATION_TOLERANCE_RAD = 1e-6
 _SWEEP = 128  # angles of the redundancy (of the Panda: every 2.8 degrees)
 _ROUNDS = 5  # halvings of the sweep where postures are far apart
 _STARTS = 8  # starts of the numeric search
+_NEARLY_M = 0.001  # error from which on it is continued: near singularities a step gains less than half of it
+_MOST_STEPS = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,4 +107,6 @@ def _solve_anywhere(plant: ArmPlant, X_BG: Array, q_seed: Array, near: Array, ne
         if e < error:
             best = q
             error = e
+    if error < _NEARLY_M and isinstance(solver, NumericSolver):
+        best, _ = solve_newton(plant, X_BG, best, iterations=_MOST_STEPS)
     return _solution(plant, X_BG, best, failure)
