@@ -10,19 +10,17 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 
 from benchmarks.perception.clip import TruthClipFile, find_clips
-from benchmarks.perception.store import Confidences, Flags, MeasurementStore, Milli, Stored, fingerprint
+from benchmarks.perception.store import Confidences, Flags, MeasurementStore, Micro, Milli, fingerprint
 from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Observer
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.formats.manifest import NAME
-from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overlay import draw_overlay
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.container import write_video
@@ -32,7 +30,6 @@ from kinebench_drake.models.gripper import GripperModel
 from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.track import GripperTrack
 
-_Micro = Annotated[Array, Stored(".6f")]
 OVERLAY_FPS = 5.0
 """Frame rate of overlays [1/s]: slow enough to look at."""
 
@@ -73,12 +70,12 @@ class TrackRecord:
     """Output of the grounding for one video."""
 
     id: str
-    X_CH: _Micro
+    X_CH: Micro
     """(T, 4, 4) pose of panda_hand in the camera frame [m]; NaN where not tracked."""
     tracked: Flags
     confidence: Confidences
     """(T,) 0..1."""
-    finger_width_m: _Micro
+    finger_width_m: Micro
     """(T,) gap between the finger pads [m]; NaN where unknown."""
     anomalies: tuple[Anomaly, ...]
     cpu_s: Milli

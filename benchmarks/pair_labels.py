@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.markdown import table
 from kinebench_drake.anomaly import AnomalyKind
 from kinebench_drake.io.jsonl import as_object, read_json
 
@@ -52,28 +51,6 @@ def read_pair_labels(path: Path = LABELS) -> PairLabels:
     )
 
 
-def compare_passes(labels: PairLabels) -> str:
-    """Return a table of the agreement of the passes: views with a kind of anomaly, and frames that differ.
-
-    Kappa is the agreement beyond chance (Cohen, Educational and Psychological Measurement 20, 1960).
-    """
-    first, second = labels.passes
-    rows = []
-    for kind in AnomalyKind:
-        counts = _counts([(kind in first[view].kinds, kind in second[view].kinds) for view in first])
-        if sum(counts[:3]):
-            rows.append((f"views with `{kind.value}`", *map(str, counts), f"{_kappa(counts):.2f}"))
-    marks = [
-        (frame in first[view].differs, frame in second[view].differs)
-        for view in first
-        for frame in range(labels.frames)
-        if frame not in first[view].not_comparable | second[view].not_comparable
-    ]
-    counts = _counts(marks)
-    rows.append(("frames that differ", *map(str, counts), f"{_kappa(counts):.2f}"))
-    return "\n".join(table(("", "both", "first only", "second only", "neither", "kappa"), rows)) + "\n"
-
-
 def _view_labels(data: Mapping[str, Any]) -> ViewLabels:
     return ViewLabels(
         kinds=frozenset(AnomalyKind(kind) for kind, _, _ in data["faults"]),
@@ -84,17 +61,3 @@ def _view_labels(data: Mapping[str, Any]) -> ViewLabels:
 
 def _frames(stretches: Sequence[Sequence[int]]) -> frozenset[int]:
     return frozenset(frame for first, last in stretches for frame in range(first, last + 1))
-
-
-def _counts(marks: Sequence[tuple[bool, bool]]) -> tuple[int, int, int, int]:
-    """Return how often both, the first, the second and neither are set."""
-    both, first, second = (marks.count(pair) for pair in ((True, True), (True, False), (False, True)))
-    return both, first, second, len(marks) - both - first - second
-
-
-def _kappa(counts: tuple[int, int, int, int]) -> float:
-    both, first, second, neither = counts
-    total = sum(counts)
-    shares = (both + first) / total, (both + second) / total
-    chance = shares[0] * shares[1] + (1 - shares[0]) * (1 - shares[1])
-    return ((both + neither) / total - chance) / (1 - chance) if chance < 1 else 1.0

@@ -208,59 +208,6 @@ def robots(count: int, seed: int, jobs: int) -> None:
         click.echo(line)
 
 
-@click.group()
-def painted() -> None:
-    """Clips that the learned world model paints from known numbers, and their faults by these numbers."""
-
-
-@painted.command(name="make", epilog="\b\nExample:\n  python -m benchmarks painted make --count 60 --out painted")
-@click.option(
-    "--weights",
-    type=EXISTING_FOLDER,
-    default=Path("examples/worldmodel/weights"),
-    show_default=True,
-    help="Folder of the world model's weights.",
-)
-@click.option(
-    "--dynamics", default="dynamics", show_default=True, help="Names of the dynamics' weights.", metavar="NAME,..."
-)
-@click.option("--count", type=COUNT, default=60, show_default=True, help="First frames, tasks in turn.", metavar="N")
-@click.option("--splice", is_flag=True, help="Change from one sample to another in each clip: the gripper jumps.")
-@click.option("--out", type=FOLDER, required=True, help="Folder of the clips; an earlier run is resumed.")
-@jobs_option
-def painted_make(weights: Path, dynamics: str, count: int, splice: bool, out: Path, jobs: int) -> None:
-    """Continue first frames of suite 3 by each of the dynamics, and write the clips with their numbers.
-
-    Score the folder's manifest.jsonl next.
-    """
-    from benchmarks.painted import paint_clips, paint_orders
-    from kinebench_drake.cli.progress import ProgressView
-
-    with ProgressView("clips") as view:
-        paint_clips(weights, paint_orders(count, dynamics.split(","), is_spliced=splice), out, jobs, view)
-    click.echo(out)
-
-
-@painted.command(name="check", epilog="\b\nExample:\n  python -m benchmarks painted check results painted")
-@click.argument("results", type=EXISTING_FOLDER)
-@click.argument("clips", type=EXISTING_FOLDER)
-def painted_check(results: Path, clips: Path) -> None:
-    """Compare score's output folder RESULTS with the numbers of the clips in the folder CLIPS."""
-    from benchmarks.painted import painted_report, read_painted
-    from kinebench_drake.results.store import read_rows
-
-    for line in painted_report(read_rows(results), read_painted(clips), results):
-        click.echo(line)
-
-
-@click.command(epilog="\b\nExample:\n  python -m benchmarks pairs")
-def pairs() -> None:
-    """Print how far two passes of labels by eye agree on generated clips beside real ones."""
-    from benchmarks.pair_labels import compare_passes, read_pair_labels
-
-    click.echo(compare_passes(read_pair_labels()), nl=False)
-
-
 @click.command(
     epilog="\b\nExample:\n  python -m benchmarks precision heldout examples/videos/manifest.jsonl --work precision"
 )
@@ -326,6 +273,4 @@ COMMANDS = (
     extractors,
     generated,
     trajectories,
-    painted,
-    pairs,
 )

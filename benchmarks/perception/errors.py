@@ -6,14 +6,13 @@ from typing import Annotated
 import numpy as np
 
 from benchmarks.perception.clip import TruthClip
-from benchmarks.perception.store import Confidences, Flags, Milli, Stored
+from benchmarks.perception.store import Confidences, Flags, Micro, Milli, Stored
 from kinebench_drake.anomaly import Anomaly
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.segments import segments
 from kinebench_drake.track import GripperTrack
 
-_Micro = Annotated[Array, Stored(".6f")]
 FLIP_RAD = np.pi / 2
 """Rotation error beyond which the pose is flipped: the gripper looks alike after a half turn."""
 LASTING_FRAMES = 3
@@ -29,11 +28,11 @@ class ClipErrors:
     """Plain task id; empty if unknown."""
     position_m: Annotated[Array, Stored(".7f")]
     """(T,) position error of panda_hand [m]; NaN where not tracked or absent."""
-    rotation_rad: _Micro
+    rotation_rad: Micro
     """(T,) rotation error [rad]; NaN likewise."""
-    width_m: _Micro
+    width_m: Micro
     """(T,) estimated gap between the finger pads [m]; NaN where unknown."""
-    true_width_m: _Micro
+    true_width_m: Micro
     """(T,) true gap [m]; NaN where the gripper is absent."""
     tracked: Flags
     """(T,)."""

@@ -51,6 +51,7 @@ class Stored:
 Flags = Annotated[NDArray[np.bool_], Stored("d", np.bool_)]
 """Array of booleans in a record, 0 and 1 in the file."""
 Confidences = Annotated[Array, Stored(".4f")]
+Micro = Annotated[Array, Stored(".6f")]
 Milli = Annotated[float, PlainSerializer(lambda value: round(value, 3))]
 """Number in a record, rounded to three decimals in the file."""
 

@@ -15,9 +15,8 @@ from kinebench_drake.track import MAX_WIDTH_M
 
 # Set on planted faults in home renders of seen assets, and checked on clean ones:
 # `python -m benchmarks planted-videos --out faulty`, then `python -m benchmarks evaluate faulty`. Teleports: set on
-# half
-# of the clips of `python -m benchmarks painted make --splice --count 40`, with those without --splice; checked on the
-# others, and on clean ones of other simulators.
+# half of the clips of `python -m benchmarks painted make --splice --count 40` (a command until revision afe939a2), with
+# those without --splice; checked on the others, and on clean ones of other simulators.
 _TELEPORT_M = 0.03
 """Least length of a teleport [m].
 
