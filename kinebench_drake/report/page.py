@@ -10,9 +10,8 @@ from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import Json, as_object
 from kinebench_drake.metrics.executable import LOST, UNCHECKED, reason_kind
 from kinebench_drake.metrics.trust import trust_lines
-from kinebench_drake.report.histogram import Histogram, count_values
 from kinebench_drake.report.horizon import draw_horizon, horizon_lines
-from kinebench_drake.report.metric import BY_NAME, Metric, MetricLayout, layout_of
+from kinebench_drake.report.metric import BY_NAME, Metric, layout_of
 from kinebench_drake.report.run import read_results
 from kinebench_drake.report.sample import (
     badness,
@@ -135,7 +134,6 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
             if _is_measured(total, m.name)
         ],
         groups=[(key, groups) for key in ("task", "model") if (groups := _group_rows(rows, key, statistics))],
-        histograms=_count_metrics(rows, total, layout),
         horizon=draw_horizon(out, rows),
         horizon_lines=horizon_lines(rows, _bootstrap_seed(results)),
         gallery=[(title, [views[row.id] for row in chosen]) for title, chosen in (("Worst", worst), ("Best", best))]
@@ -180,21 +178,6 @@ def _count_verdicts(rows: Sequence[SampleRow]) -> dict[str, int]:
     """Count the verdicts that occur, in the order of their labels."""
     verdicts = Counter(map(verdict_of, rows))
     return {verdict: verdicts[verdict] for verdict in VERDICT_LABELS if verdict in verdicts}
-
-
-def _count_metrics(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLayout) -> list[Histogram]:
-    """Count the values of the metrics that a page shows first, where they differ."""
-    histograms = []
-    verdicts = [verdict_of(row) for row in rows]
-    for name in dict.fromkeys((*layout.headlines, *layout.columns)):
-        if _is_measured(total, name):
-            values = [
-                (verdict, row.number(name))
-                for row, verdict in zip(rows, verdicts, strict=True)
-                if not isinstance(row.value(name), bool)
-            ]
-            histograms.append(count_values(BY_NAME[name], values, total.estimates[name]))
-    return [histogram for histogram in histograms if histogram is not None]
 
 
 def choose_gallery(out: Path, rows: Sequence[SampleRow], most: int = 6) -> tuple[list[SampleRow], list[SampleRow]]:

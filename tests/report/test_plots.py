@@ -1,4 +1,4 @@
-"""Plots: each value is counted, each fault lies at its frames, curves break where values are missing."""
+"""Plots: each fault lies at its frames, curves break where values are missing."""
 
 import re
 from dataclasses import replace
@@ -7,50 +7,9 @@ import numpy as np
 import pytest
 
 from kinebench_drake.report.curves import draw_curves
-from kinebench_drake.report.histogram import count_values
-from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.report.timeline import fault_lanes
-from kinebench_drake.results.aggregate import estimate
 from tests.report.conftest import LIMITS
 from tests.report.pages import EVIL, Page
-
-
-def counted(values, metric="sparc"):
-    numbers = [value for _, value in values]
-    return count_values(BY_NAME[metric], values, estimate(numbers, total=len(numbers)))
-
-
-def test_each_value_is_counted_in_one_bin():
-    values = [("feasible" if v < 0.5 else "infeasible", float(v)) for v in np.random.default_rng(0).random(100)]
-    h = counted([*values, ("error", None)])
-    assert sum(map(sum, h.counts.values())) == 100
-    assert sum(h.counts["feasible"]) == sum(verdict == "feasible" for verdict, _ in values)
-    middles = 0.5 * (h.edges[1:] + h.edges[:-1])
-    assert all(middle < 0.6 for middle, n in zip(middles, h.counts["feasible"], strict=True) if n)
-    assert h.outliers == 0
-
-
-def test_outliers_are_counted_in_the_outermost_bins():
-    values = [("feasible", float(v)) for v in np.linspace(0.0, 1.0, 50)] + [
-        ("infeasible", 900.0),
-        ("infeasible", -80.0),
-    ]
-    h = counted(values, "slowdown_min")
-    assert h.outliers == 2
-    assert (h.edges[0], h.edges[-1]) == (0.0, 1.0)
-    assert (h.counts["infeasible"][0], h.counts["infeasible"][-1]) == (1, 1)
-    assert "2 outliers" in h.note
-
-
-@pytest.mark.parametrize("values", [[], [1.0], [2.0, 2.0, 2.0], [None, 3.0], [0.0, 0.0]])
-def test_values_without_spread_have_no_histogram(values):
-    assert counted([("feasible", v) for v in values]) is None
-
-
-def test_a_histogram_names_its_metric_and_shares_of_it_in_percent():
-    drawing = counted([("feasible", v) for v in (0.0, 0.5, 1.0)], "tracked_fraction").drawing
-    assert f'aria-label="Distribution of {BY_NAME["tracked_fraction"].label}"' in drawing
-    assert ">100%</text>" in drawing
 
 
 def test_faults_cover_their_frames(judged, file):
