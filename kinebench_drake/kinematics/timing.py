@@ -35,17 +35,6 @@ _KINDS = (ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.TORQ
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ActiveLimit:
-    """One limit that is active in the fastest motion."""
-
-    constraint: ViolationKind
-    joint: str
-    """Name of the joint, such as panda_joint4."""
-    share: float
-    """Share 0..1 of the fastest duration in which the limit is active."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TimeScale:
     """Fastest feasible duration of a joint path, and the limits that bound it."""
 
@@ -59,8 +48,6 @@ class TimeScale:
     """Joint of that limit."""
     frame: int | None = None
     """Row of the input arrays where that limit slows the path most (least speed-up while active) or is violated."""
-    active: tuple[ActiveLimit, ...] = ()
-    """All limits that are active at some time, the longest first; several may be active at once."""
 
 
 def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
@@ -171,23 +158,13 @@ def _describe(motion: _PathMotion, rate: Array) -> TimeScale:
     change = np.diff(rate**2) / (2.0 * np.diff(motion.grid))
     spent = 2.0 * np.diff(motion.grid) / (rate[1:] + rate[:-1])
     share, active = _usage(motion, rate, change, spent)
-    kinds = _KINDS
-    joints = motion.plant.robot.joints
-    order = [np.unravel_index(i, share.shape) for i in np.argsort(-share, axis=None, kind="stable")]
-    c, j = order[0]
-    slowest = None
-    if share[c, j] > 0.0:
-        cells = np.flatnonzero(active[:, c, j])
-        slowest = motion.frame(int(cells[np.argmin(rate[cells] + rate[cells + 1])]))
-    return TimeScale(
-        value=float(spent.sum() / (motion.t[-1] - motion.t[0])),
-        constraint=kinds[c] if slowest is not None else None,
-        joint=joints[j] if slowest is not None else None,
-        frame=slowest,
-        active=tuple(
-            ActiveLimit(constraint=kinds[c], joint=joints[j], share=float(share[c, j])) for c, j in order if share[c, j]
-        ),
-    )
+    value = float(spent.sum() / (motion.t[-1] - motion.t[0]))
+    c, j = np.unravel_index(np.argmax(share), share.shape)
+    if share[c, j] == 0.0:
+        return TimeScale(value=value)
+    cells = np.flatnonzero(active[:, c, j])
+    slowest = motion.frame(int(cells[np.argmin(rate[cells] + rate[cells + 1])]))
+    return TimeScale(value=value, constraint=_KINDS[c], joint=motion.plant.robot.joints[j], frame=slowest)
 
 
 def _usage(motion: _PathMotion, rate: Array, change: Array, spent: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -278,7 +278,6 @@ def path_details(plant: ArmPlant, measured: PathMeasurements) -> dict[str, Json]
             "joint": timing.joint,
             "frame": timing.frame,
             "reason": timing.reason,
-            "active": [{"limit": a.constraint.value, "joint": a.joint, "share": a.share} for a in timing.active],
         },
         "trajopt": _tube(measured.tube, measured.tube_limit_m),
         "branch_jump_frames": [int(frame) for frame in measured.branch_jumps],

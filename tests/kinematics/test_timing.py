@@ -32,10 +32,6 @@ def test_a_move_from_rest_to_rest_takes_the_time_of_a_trapezoidal_profile(
     expected = _trapezoid_s(way, plant.velocity_limits[0], 15.0)
     assert scale.value * 9.6 == pytest.approx(expected, rel=5e-3)
     assert scale.joint == "panda_joint1"
-    shares = {limit.constraint: limit.share for limit in scale.active if limit.joint == "panda_joint1"}
-    braking = 2.0 * plant.velocity_limits[0] / 15.0 / expected if way == 1.0 else 1.0
-    assert shares[ViolationKind.ACCELERATION] == pytest.approx(braking, abs=0.07)
-    assert shares.get(ViolationKind.VELOCITY, 0.0) == pytest.approx(1.0 - braking, abs=0.07)
     assert scale.constraint is (ViolationKind.VELOCITY if way == 1.0 else ViolationKind.ACCELERATION)
 
 

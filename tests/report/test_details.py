@@ -9,7 +9,7 @@ T_S = 2.0 + 0.1 * np.arange(20)
 DETAILS = {
     "noise": {"position_m": 0.003, "rotation_rad": 0.01, "assumed": False, "allowance_sigmas": 5.0},
     "slowdown": {"limit": "acceleration", "joint": "j2", "frame": 4},
-    "time_scale": {"limit": "torque", "joint": "j4", "frame": 7, "active": []},
+    "time_scale": {"limit": "torque", "joint": "j4", "frame": 7},
     "trajopt": {"tube_limit_m": 0.005, "against": None},
 }
 
