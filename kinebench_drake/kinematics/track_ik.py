@@ -14,7 +14,6 @@ from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERAN
 from kinebench_drake.kinematics.newton import (
     REACHED_M,
     ROTATION_ARM_M,
-    damped_pseudoinverses,
     followed_error,
     pose_twists,
     solve_newton,
@@ -29,8 +28,6 @@ from kinebench_drake.track import GripperTrack, IkStatus, JointTrack
 
 CONTACT_TOLERANCE_M = 0.002
 """Penetration depth [m] up to which a contact is no collision: tasks touch the table."""
-JUMP_RAD = 0.5
-"""Joint step beyond the one that the gripper's motion explains, above which it is a jump between branches [rad]."""
 PROBES = 24
 """Colliding frames that are tested for collision-free postures before the path is searched again."""
 
@@ -115,19 +112,6 @@ def settle_free_turns(plant: ArmPlant, X_BG: Array) -> Array:
         free = (error_G - followed_error(weight[:, None] * J, error_G)[0])[:3] / ROTATION_ARM_M
         settled[i, :3, :3] = rotation_exp(free) @ X_BG[i, :3, :3]
     return settled
-
-
-def branch_jumps(plant: ArmPlant, X_BG: Array, q: Array) -> NDArray[np.intp]:
-    """Return indices (N,) of postures in `q` (n, J) [rad] whose step from the previous one is a jump between branches.
-
-    The explained step is the least joint motion J^+ V between the poses (n, 4, 4), averaged over both ends (trapezoid
-    rule); the rest is a jump if it exceeds JUMP_RAD.
-    """
-    if len(q) < 2:
-        return np.zeros(0, dtype=np.intp)
-    inverse = damped_pseudoinverses(plant.chain.jacobians(q))
-    explained = 0.5 * (inverse[:-1] + inverse[1:]) @ pose_twists(X_BG[:-1], X_BG[1:])[..., None]
-    return np.flatnonzero(np.abs(np.diff(q, axis=0) - explained[..., 0]).max(axis=-1) > JUMP_RAD) + 1
 
 
 def verify_path(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array) -> JointTrack:

@@ -35,7 +35,7 @@ leave nothing of a mean but the share of such frames."""
 # angles of the redundancy among which the worst posture is searched, and their halvings
 _SAMPLES = 128
 _ROUNDS = 5
-_PRODUCTS = ("full", "translation", "rotation", "limited")  # fields of Manipulability that shrink with the weight
+_PRODUCTS = ("full", "translation")  # fields of Manipulability that shrink with the weight
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,7 @@ from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import time_scale
-from kinebench_drake.kinematics.track_ik import branch_jumps, find_free, settle_free_turns, solve_track
+from kinebench_drake.kinematics.track_ik import find_free, settle_free_turns, solve_track
 from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.metrics.coverage import (
     Coverage,
@@ -308,8 +308,6 @@ class TrackJudge:
             table_tolerance_m=contact_tolerance(noise),
             finger_width_m=np.where(np.isfinite(track.finger_width_m), track.finger_width_m, plant.finger_width_m),
         )
-        branches = np.flatnonzero(path.reached)
-        jumps = branch_jumps(plant, track.X_BG[branches], path.joints.q[branches])
         w = weigh_manipulability(plant, coverage, bridge_joints(track.t_s, coverage.q, bridged))
         return PathMeasurements(
             path=path,
@@ -329,7 +327,6 @@ class TrackJudge:
             timing=time_scale(plant, track.t_s, checks.q_smooth),
             tube=tube,
             tube_limit_m=tube_limit_m,
-            branch_jumps=branches[jumps],
         )
 
     def _result(

@@ -100,8 +100,6 @@ class PathMeasurements:
     """Smallest tube about the track that contains a feasible trajectory."""
     tube_limit_m: float
     """Largest tube radius of a feasible track [m]."""
-    branch_jumps: NDArray[np.intp]
-    """(N,) frames before which the joint path changes its branch."""
     bridged: NDArray[np.bool_]
     """(T,) lost frames that are bridged (`coverage.bridge_gaps`)."""
     p_BG: Array
@@ -166,10 +164,6 @@ def _manipulability_metrics(t_s: Array, w: Manipulability) -> dict[str, Value]:
         "manipulability_min": _over_finite(np.min, w.full),
         "manipulability_integral": time_integral(t_s, w.full),
         "manipulability_cost_mean": _over_finite(np.mean, w.cost),
-        "manipulability_translation_mean": _over_finite(np.mean, w.translation),
-        "manipulability_rotation_mean": _over_finite(np.mean, w.rotation),
-        "manipulability_limited_mean": _over_finite(np.mean, w.limited),
-        "manipulability_limited_min": _over_finite(np.min, w.limited),
     }
 
 
@@ -189,7 +183,6 @@ def _path_metrics(plant: ArmPlant, measured: PathMeasurements) -> tuple[dict[str
     is_free = (path.joints.ok | measured.free)[track.tracked]
     values: dict[str, Value] = {
         **_manipulability_metrics(track.t_s, w),
-        "condition_number_max": _over_finite(np.max, w.condition),
         "ik_success_rate": float(is_free.mean()) if is_free.size else None,
         "ik_position_error_max_m": _over_finite(np.max, coverage.position_error_m),
         "joint_limit_margin_min": lowest,
@@ -213,8 +206,6 @@ def _path_metrics(plant: ArmPlant, measured: PathMeasurements) -> tuple[dict[str
         rows[name] = value, tube.reason or "no tube was found"
     rows["path_length_m"] = path_length(measured.p_BG), no_value
     rows["motionless"] = measured.motionless, no_value
-    jumps = float(len(measured.branch_jumps)) if path.reached.sum() > 1 else None
-    rows["branch_jumps"] = jumps, "fewer than two poses are reached"
     metrics = {name: value for name, (value, _) in rows.items()}
     return metrics, {name: why for name, (value, why) in rows.items() if value is None}
 
@@ -222,14 +213,9 @@ def _path_metrics(plant: ArmPlant, measured: PathMeasurements) -> tuple[dict[str
 def track_curves(plant: ArmPlant, measured: PathMeasurements) -> dict[str, Array]:
     """Return arrays (T,) or (T, 7) by name, for the track's file."""
     checks = measured.checks
-    w = measured.manipulability
     return {
         "bridged": measured.bridged.astype(np.float64),
-        "manipulability": w.full,
-        "manipulability_translation": w.translation,
-        "manipulability_rotation": w.rotation,
-        "manipulability_weighted": w.limited,
-        "condition_number": w.condition,
+        "manipulability": measured.manipulability.full,
         "joint_margin": limit_margin(plant, measured.path.joints.q).min(axis=-1),
         "self_distance_m": measured.path.own.distance_m,
         "table_distance_m": measured.path.table.distance_m,
@@ -280,7 +266,6 @@ def path_details(plant: ArmPlant, measured: PathMeasurements) -> dict[str, Json]
             "reason": timing.reason,
         },
         "trajopt": _tube(measured.tube, measured.tube_limit_m),
-        "branch_jump_frames": [int(frame) for frame in measured.branch_jumps],
     }
 
 

@@ -88,7 +88,7 @@ def _short_names(joints: Sequence[str]) -> list[str]:
 def _path_panels(file: TrackFile) -> Iterator[Panel]:
     """List the panels of quantities with one number per frame."""
     for title, names, scale, least in (
-        ("Manipulability", {"full": "manipulability", "weighted by joint limits": "manipulability_weighted"}, 1.0, 0.0),
+        ("Manipulability", {"full": "manipulability"}, 1.0, 0.0),
         ("Joint-limit margin, minimum", {"margin": "joint_margin"}, 1.0, 0.0),
         ("Clearance [mm]", {"self-collision": "self_distance_m", "table": "table_distance_m"}, 1e3, 0.0),
         ("IK position error [mm]", {"error": "ik_position_error_m"}, 1e3, _MIN_ERROR_M),

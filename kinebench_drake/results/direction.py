@@ -17,15 +17,14 @@ HIGHER_IS_BETTER = frozenset(
             "trajopt_feasible",
         ),
         *("sparc", "sparc_rotation", "ldlj", "sparc_filtered", "sparc_rotation_filtered"),
-        *("manipulability_mean", "manipulability_min", "manipulability_integral", "manipulability_limited_mean"),
-        *("manipulability_limited_min", "manipulability_translation_mean", "manipulability_rotation_mean"),
+        *("manipulability_mean", "manipulability_min", "manipulability_integral"),
         *("joint_limit_margin_min", "self_distance_min_m", "table_distance_min_m"),
         *("gap_robot_iou", "action_following", "follows", "follow_share"),
     }
 )
 LOWER_IS_BETTER = frozenset(
     {
-        *("manipulability_cost_mean", "condition_number_max", "ik_position_error_max_m", "branch_jumps"),
+        *("manipulability_cost_mean", "ik_position_error_max_m"),
         *("velocity_ratio_max", "acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max", "slowdown_min"),
         "feasible_from_period_s",
         *("time_scale", "trajopt_position_tube_m", "camera_motion_px", "arm_consistency_px", "rounds"),

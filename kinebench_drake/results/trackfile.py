@@ -21,7 +21,7 @@ _OWN = (*_TRACK, "q", "ik_ok", "status")
 """Arrays other than curves."""
 _OF_JOINTS = ("q", "velocity", "acceleration", "jerk", "torque")
 _SINGLE = (
-    *("ik_ok", "manipulability", "manipulability_weighted", "joint_margin", "self_distance_m", "table_distance_m"),
+    *("ik_ok", "manipulability", "joint_margin", "self_distance_m", "table_distance_m"),
     *("ik_position_error_m", "ik_rotation_error_rad"),
 )
 """Arrays with one value per joint and frame, and those with one per frame; other curves may be either."""

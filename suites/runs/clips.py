@@ -26,26 +26,20 @@ _GREATEST = frozenset(
     {
         *("velocity_ratio_max", "acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max", "slowdown_min"),
         "feasible_from_period_s",
-        *("ik_position_error_max_m", "trajopt_position_tube_m", "condition_number_max"),
+        *("ik_position_error_max_m", "trajopt_position_tube_m"),
     }
 )
 _LEAST = frozenset(
     {
-        *("joint_limit_margin_min", "manipulability_min", "manipulability_limited_min"),
+        *("joint_limit_margin_min", "manipulability_min"),
         *("self_distance_min_m", "table_distance_min_m", "trajopt_feasible", "motionless"),
     }
 )
-_TOTAL = frozenset({"manipulability_integral", "branch_jumps", "path_length_m"})
+_TOTAL = frozenset({"manipulability_integral", "path_length_m"})
 _UNREACHED: Mapping[str, float] = {
     "ik_success_rate": 0.0,
     "manipulability_cost_mean": COST_MAX,
-    **dict.fromkeys(
-        (
-            *("manipulability_mean", "manipulability_min", "manipulability_integral", "manipulability_limited_mean"),
-            *("manipulability_limited_min", "manipulability_translation_mean", "manipulability_rotation_mean"),
-        ),
-        0.0,
-    ),
+    **dict.fromkeys(("manipulability_mean", "manipulability_min", "manipulability_integral"), 0.0),
 }
 """Values of a clip in which no frame is reached, if there are other clips."""
 

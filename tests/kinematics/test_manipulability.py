@@ -3,10 +3,8 @@ import pytest
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.kinematics.manipulability import (
-    characteristic_length,
     compute_manipulability,
     cost,
-    limit_weight,
     time_integral,
 )
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -21,8 +19,6 @@ def test_w_is_the_product_of_the_singular_values(plant: ArmPlant) -> None:
     np.testing.assert_allclose(result.full, np.prod(np.linalg.svd(J, compute_uv=False), axis=-1), rtol=1e-6, atol=1e-9)
     linear = np.prod(np.linalg.svd(J[:, 3:], compute_uv=False), axis=-1)
     np.testing.assert_allclose(result.translation, linear, rtol=1e-6, atol=1e-9)
-    angular = np.prod(np.linalg.svd(J[:, :3], compute_uv=False), axis=-1)
-    np.testing.assert_allclose(result.rotation, angular, rtol=1e-9)
     assert (result.full > 0).any()
 
 
@@ -30,7 +26,7 @@ def test_w_is_the_root_of_the_gram_determinant(plant: ArmPlant) -> None:
     q = np.random.default_rng(4).uniform(plant.lower, plant.upper, size=(20, 7))
     J = plant.chain.jacobians(q)
     result = compute_manipulability(plant, q)
-    for w, rows in ((result.full, J), (result.translation, J[:, 3:]), (result.rotation, J[:, :3])):
+    for w, rows in ((result.full, J), (result.translation, J[:, 3:])):
         np.testing.assert_allclose(w**2, np.linalg.det(rows @ np.swapaxes(rows, -1, -2)), rtol=1e-7)
 
 
@@ -42,62 +38,11 @@ def test_w_scales_with_the_cube_of_the_length_unit(plant: ArmPlant) -> None:
     assert millimetres.translation == pytest.approx(1e9 * metres.translation)
 
 
-def test_condition_number_is_that_of_the_jacobian_over_characteristic_length(plant: ArmPlant) -> None:
-    q = np.random.default_rng(5).uniform(plant.lower, plant.upper, size=(10, 7))
-    result = compute_manipulability(plant, q)
-    J = plant.chain.jacobians(q)
-    J[:, 3:] /= characteristic_length(plant)
-    np.testing.assert_allclose(result.condition, np.linalg.cond(J))
-    assert np.isinf(compute_manipulability(plant, q[:1], np.zeros((1, 6, 7))).condition)
-
-
-def test_characteristic_length_balances_rotation_and_translation(plant: ArmPlant) -> None:
-    """Each angular column is a unit vector, each linear one as long as the TCP is far from the joint's axis."""
-    J = plant.jacobian(rest_q())
-    length = characteristic_length(plant)
-    assert np.linalg.norm(J[3:] / length) == pytest.approx(np.linalg.norm(J[:3]))
-    assert 0.4 < length < 0.6
-
-
-def test_limit_weight_within_the_limits_is_the_published_formula() -> None:
-    """Against the derivative of H = (upper - lower)^2 / (4 (upper - q) (q - lower)) by differences."""
-    lower = -1.2
-    upper = 2.9
-    h = 1e-6
-    q = np.linspace(lower + 0.1, upper - 0.1, 25)
-
-    def H(q: np.ndarray) -> np.ndarray:
-        return np.asarray((upper - lower) ** 2 / (4 * (upper - q) * (q - lower)))
-
-    slope = (H(q + h) - H(q - h)) / (2 * h)
-    np.testing.assert_allclose(limit_weight(q, lower, upper), 1 / np.sqrt(1 + np.abs(slope)), rtol=1e-6)
-
-
-def test_limit_weight_falls_from_one_at_the_middle_to_zero_at_the_limits() -> None:
-    np.testing.assert_array_equal(
-        limit_weight(np.array([-2.0, -1.0, 3.0, 4.0, 1.0]), -1.0, 3.0), [0.0, 0.0, 0.0, 0.0, 1.0]
-    )
-    outwards = limit_weight(np.linspace(1.0, 3.0, 50), -1.0, 3.0)
-    assert (np.diff(outwards) < 0).all()
-    np.testing.assert_array_equal(limit_weight(np.array([np.nan, 0.5]), -1.0, 3.0) > 0, [False, True])
-
-
-def test_w_falls_at_a_joint_limit_only_if_weighted(plant: ArmPlant) -> None:
-    q = np.tile(rest_q(), (4, 1))
-    q[:, 6] = [0.0, plant.upper[6] - 1e-3, plant.upper[6], plant.upper[6] + 0.1]
-    result = compute_manipulability(plant, q)
-    np.testing.assert_allclose(result.full, result.full[0], rtol=1e-9)
-    assert result.limited[0] > 100 * result.limited[1] > 0
-    np.testing.assert_array_equal(result.limited[2:], 0.0)
-    weights = limit_weight(q[0], plant.lower, plant.upper)
-    assert result.limited[0] == pytest.approx(result.full[0] * np.prod(weights))
-
-
 def test_precomputed_jacobians_give_the_same_manipulability(plant: ArmPlant) -> None:
     q = np.random.default_rng(6).uniform(plant.lower, plant.upper, size=(5, 7))
     given = compute_manipulability(plant, q, [plant.jacobian(row) for row in q])
     computed = compute_manipulability(plant, q)
-    for name in ("full", "translation", "rotation", "limited", "cost", "condition"):
+    for name in ("full", "translation", "cost"):
         np.testing.assert_allclose(getattr(given, name), getattr(computed, name), rtol=1e-6)
     with pytest.raises(UsageError, match="expected"):
         compute_manipulability(plant, q, np.zeros((4, 6, 7)))
@@ -125,7 +70,7 @@ def test_manipulability_does_not_depend_on_joint_1(plant: ArmPlant) -> None:
     turned = np.tile(rest_q(), (3, 1))
     turned[:, 0] = [-1.0, 0.0, 2.0]
     result = compute_manipulability(plant, turned)
-    for values in (result.full, result.translation, result.rotation, result.cost, result.condition):
+    for values in (result.full, result.translation, result.cost):
         np.testing.assert_allclose(values, values[0], rtol=1e-9)
 
 
@@ -137,7 +82,7 @@ def test_manipulability_of_unknown_frames_is_unknown(plant: ArmPlant) -> None:
     q = np.tile(rest_q(), (3, 1))
     q[1, 4] = np.nan
     result = compute_manipulability(plant, q)
-    for values in (result.full, result.translation, result.rotation, result.limited, result.cost, result.condition):
+    for values in (result.full, result.translation, result.cost):
         np.testing.assert_array_equal(np.isnan(values), [False, True, False])
     assert len(compute_manipulability(plant, np.empty((0, 7))).full) == 0
 

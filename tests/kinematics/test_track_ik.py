@@ -11,7 +11,7 @@ from kinebench_drake.kinematics.continuation import continue_path
 from kinebench_drake.kinematics.path import is_sound, limit_excess, search_path, speed_ratios
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver
-from kinebench_drake.kinematics.track_ik import branch_jumps, solve_track, verify_path
+from kinebench_drake.kinematics.track_ik import solve_track, verify_path
 from kinebench_drake.models.panda.description import rest_q
 from kinebench_drake.track import GripperTrack, IkStatus
 from tests.metrics.motions import gripper
@@ -162,16 +162,6 @@ def test_a_continued_path_is_sound_or_nan(plant: ArmPlant) -> None:
             assert is_sound(plant, step_s * t_s, path) or np.isnan(path).all()
         X_BG[20, :3, 3] += 2.0  # out of reach
         assert np.isnan(continue_path(plant, t_s, X_BG, q[0])).all()
-
-
-def test_a_jump_between_ik_branches_is_detected_at_its_frame(plant: ArmPlant) -> None:
-    q, _ = _joint_paths(plant, 1, seed=5, share=0.3)[0]
-    X_BG = np.array([plant.forward(row) for row in q])
-    assert len(branch_jumps(plant, X_BG, q)) == 0
-    other = posture_solver(plant).all(X_BG[20:21], 64)[0]
-    q[20:] = other[np.argmax(np.abs(other - q[20]).max(axis=-1))]
-    X_BG[20:] = X_BG[20]
-    assert list(branch_jumps(plant, X_BG, q)) == [20]
 
 
 def test_redundancy_avoids_collision_with_the_table(plant: ArmPlant) -> None:
