@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Self
 
@@ -282,7 +282,7 @@ class GroundingPipeline:
         places = motion.places if stabilized else None
 
         def explain(present: NDArray[np.bool_]) -> tuple[Absence | None, ...]:
-            finder = AbsenceFinder(ArmModel(tracking.gripper), self._edges)
+            finder = AbsenceFinder(_arm_model(tracking.gripper), self._edges)
             return finder.explain(*steady, places, tracking.wide, resolved, present)
 
         evidence = gather_evidence(
@@ -340,6 +340,9 @@ class GroundingPipeline:
             return None
         motion = measure_camera_motion(FeatureTracks(np.stack([priors.image, frames[0]])), robot, camera)
         return priors.image if motion.moves or np.isnan(motion.px[1]) else None
+
+
+_arm_model = lru_cache(maxsize=4)(ArmModel)
 
 
 def _initial_hand_pose(state: InitialState, camera: Camera) -> Array:

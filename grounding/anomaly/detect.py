@@ -29,7 +29,7 @@ from kinebench_drake.grounding.anomaly.jumps import (
     find_finger_faults,
     find_freezes,
     find_teleports,
-    mixed_frames,
+    is_mixed,
     still_frames,
 )
 from kinebench_drake.grounding.registration.hand_contour import HandShape
@@ -110,8 +110,8 @@ class AnomalyEvidence:
     """(T,) shape of the hand's contour; None where unknown, and in familiar videos."""
     still: NDArray[np.bool_]
     """(T,) frames that repeat the one before."""
-    mixed: NDArray[np.bool_]
-    """(T,) frames that mix those before and after; none if the camera moves."""
+    mixed: Callable[[int], bool]
+    """Returns whether a frame, by its number, mixes those before and after; none does if the camera moves."""
     motion: CameraMotion
     domain: Domain = Domain.FAMILIAR
 
@@ -216,7 +216,7 @@ def gather_evidence(
         scale=scale,
         shapes=tuple(shapes),
         still=still_frames(frames),
-        mixed=np.zeros(n, dtype=np.bool_) if motion.moves else mixed_frames(frames),
+        mixed=lambda number: not motion.moves and is_mixed(frames, number),
         motion=motion,
         domain=domain,
     )

@@ -1,5 +1,6 @@
 """Detectors of implausible motion: teleports, frozen images, impossible finger motion."""
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import cv2
@@ -108,23 +109,23 @@ def jump_lengths(p: Array, covariance: Array, good: NDArray[np.bool_], t_s: Arra
 
 
 def find_teleports(
-    p: Array, covariance: Array, good: NDArray[np.bool_], mixed: NDArray[np.bool_], t_s: Array
+    p: Array, covariance: Array, good: NDArray[np.bool_], mixed: Callable[[int], bool], t_s: Array
 ) -> Detection:
     """Detect jumps of the gripper; start and end: the first frame after the jump; severity: its length [m].
 
     The score is the unexplained length over the larger of its least one, which grows with the frame period, and
-    `_TELEPORT_CONTRAST` times the median length around it; if the frame or the one before is one of the `mixed` (T,)
-    ones, less suffices. Positions `p` (T, 3) [m], of covariances (T, 3, 3) [m^2], count in `good` (T,) frames.
+    `_TELEPORT_CONTRAST` times the median length around it; if the frame or the one before is `mixed`, by its number,
+    less suffices. Positions `p` (T, 3) [m], of covariances (T, 3, 3) [m^2], count in `good` (T,) frames.
     """
     lengths, unexplained = jump_lengths(p, covariance, good, t_s)
     period_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
     floor_m = _TELEPORT_M * max(1.0, period_s / _TELEPORT_PERIOD_S)
     score = np.zeros(len(lengths))
-    for i in np.flatnonzero(lengths).tolist():
+    for i in np.flatnonzero(unexplained).tolist():
         around = [k for k in range(max(0, i - _AROUND), min(len(lengths), i + _AROUND + 1)) if abs(k - i) > 2]
         usual = [lengths[k] for k in around if lengths[k] > 0]
         least = max(floor_m, _TELEPORT_CONTRAST * float(np.median(usual)) if usual else 0.0)
-        score[i] = unexplained[i] / (_FADED * least if mixed[i - 1 : i + 1].any() else least)
+        score[i] = unexplained[i] / (_FADED * least if mixed(i - 1) or mixed(i) else least)
     return Detection.from_score(AnomalyKind.TELEPORT, _suppress_non_maxima(score, lengths), lengths)
 
 
@@ -144,23 +145,23 @@ def still_frames(frames: Frames) -> NDArray[np.bool_]:
     return np.array([False, *(c < _STILL_LEVELS for c in change)])
 
 
-def mixed_frames(frames: Frames) -> NDArray[np.bool_]:
-    """Return the frames (T,) that mix the images before and after, as those of a cross-fade do.
+def is_mixed(frames: Frames, number: int) -> bool:
+    """Return whether a frame mixes the images before and after, as those of a cross-fade do.
 
     Where something moves, a pixel shows it or what it hides, as before or as after: few lie between. Of those that
     differ before and after, many of a mixture do; so do many of a motion that is slower than its edges are wide.
     """
+    if not 0 < number < len(frames) - 1:
+        return False
     size = (_MIX_PX, round(_MIX_PX * frames.shape[1] / frames.shape[2]))
-    small = [cv2.GaussianBlur(cv2.resize(f, size, interpolation=cv2.INTER_AREA), (0, 0), 1.0) for f in frames]
-    mixed = np.zeros(len(frames), dtype=np.bool_)
-    for i in range(1, len(frames) - 1):
-        before, image, after = np.array(small[i - 1 : i + 2], dtype=np.float32)
-        change = np.linalg.norm(after - before, axis=-1)
-        off = np.linalg.norm(image - 0.5 * (before + after), axis=-1)
-        changed = change > _MIX_LEVELS
-        if changed.mean() >= _MIX_CHANGED:
-            mixed[i] = (off < _MIX_RADIUS * change)[changed].mean() >= _MIX_SHARE
-    return mixed
+    near = frames[number - 1 : number + 2]
+    small = [cv2.GaussianBlur(cv2.resize(f, size, interpolation=cv2.INTER_AREA), (0, 0), 1.0) for f in near]
+    before, image, after = np.array(small, dtype=np.float32)
+    change = np.linalg.norm(after - before, axis=-1)
+    off = np.linalg.norm(image - 0.5 * (before + after), axis=-1)
+    changed = change > _MIX_LEVELS
+    is_enough = changed.mean() >= _MIX_CHANGED
+    return bool(is_enough and (off < _MIX_RADIUS * change)[changed].mean() >= _MIX_SHARE)
 
 
 def find_freezes(p: Array, fair: NDArray[np.bool_], still: NDArray[np.bool_], t_s: Array) -> Detection:

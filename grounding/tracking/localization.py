@@ -38,14 +38,21 @@ _WHOLE_SHARE = 0.8
 
 
 def find_region(
-    estimator: DenseEstimator, frames: Frames, camera: Camera, whole: Mapping[int, GripperView]
+    estimator: DenseEstimator,
+    frames: Frames,
+    camera: Camera,
+    whole: Mapping[int, GripperView],
+    hands: Mapping[int, Array] | None = None,
 ) -> Crop | None:
     """Return a crop for all frames (T, H, W, 3) that holds the visible robot; None if it is large enough in `whole`.
 
-    Those are the views of the whole images by frame number.
+    Those are the views of the whole images by frame number; `hands` are poses (4, 4) of the grippers in them [m], which
+    are fitted if None.
     """
     keys = evenly(len(frames), bounds.SAMPLED_FRAMES).tolist()
-    sizes = [_gripper_px(whole[key]) for key in keys]
+    if hands is None:
+        hands = _fit_hands({key: whole[key] for key in keys})
+    sizes = [_gripper_px(whole[key], hands.get(key)) for key in keys]
     if 2 * sum(size >= _SMALL_PX for size in sizes) > len(keys):
         return None
     boxes = [_robot_box(whole[key], camera) for key, size in zip(keys, sizes, strict=True) if size > 0]
@@ -54,7 +61,7 @@ def find_region(
             break
         for tile in tile_image(camera, level):
             views = [view for _, view in estimator.estimate(frames, camera, dict.fromkeys(keys, tile))]
-            boxes += [_robot_box(view, camera) for view in views if _gripper_px(view) > 0]
+            boxes += [_robot_box(views[k], camera) for k in _fit_hands(dict(enumerate(views)))]
     corners = [box for box in boxes if box is not None]
     return _region(np.array(corners), camera) if corners else None
 
@@ -74,10 +81,15 @@ def likeliest_gripper(view: GripperView) -> GripperView:
     return replace(view, part=np.where(view.gripper & (labels != size.argmax()), RobotPart.BACKGROUND, view.part))
 
 
-def _gripper_px(view: GripperView) -> float:
-    """Return the diameter of the gripper's bounding sphere in a crop [px], from a fit; 0 without a gripper."""
-    hand = fit(likeliest_gripper(view))
-    return 0.0 if hand is None else 2 * GRIPPER_RADIUS_M / float(np.linalg.norm(hand.X_CH[:3, 3])) * view.crop.focal
+def _fit_hands(views: Mapping[int, GripperView]) -> dict[int, Array]:
+    """Return the poses X_CH (4, 4) of the grippers in views that show one [m]."""
+    fits = {key: fit(likeliest_gripper(view)) for key, view in views.items()}
+    return {key: hand.X_CH for key, hand in fits.items() if hand is not None}
+
+
+def _gripper_px(view: GripperView, X_CH: Array | None) -> float:
+    """Return the diameter of the gripper's bounding sphere in a crop [px]; 0 without a gripper."""
+    return 0.0 if X_CH is None else 2 * GRIPPER_RADIUS_M / float(np.linalg.norm(X_CH[:3, 3])) * view.crop.focal
 
 
 def _robot_box(view: GripperView, camera: Camera) -> Array | None:

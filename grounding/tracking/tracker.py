@@ -130,20 +130,21 @@ class CadTracker:
         priors = self._calibrate(frames, camera, priors)
         estimator = OverrideEstimator(self._estimator, priors)
 
-        def detect(region: Crop) -> tuple[dict[int, GripperView], dict[int, Crop]]:
-            """Return the view of `region` by frame number, and crops around the gripper where it is detected."""
+        def detect(region: Crop) -> tuple[dict[int, GripperView], dict[int, Array]]:
+            """Return the view of `region` by frame number, and poses X_CH of the gripper where it is detected."""
             estimates = estimator.estimate(frames, camera, dict.fromkeys(range(len(frames)), region))
             wide = dict[int, GripperView]()
-            crops = dict[int, Crop]()
+            hands = dict[int, Array]()
             while views := dict(islice(estimates, BATCH)):
                 wide |= views
-                crops |= self._detected_crops(views, priors)
-            return wide, crops
+                hands |= self._detect(views, priors)
+            return wide, hands
 
-        wide, crops = detect(Crop.of_frame(camera))
-        region = find_region(estimator, frames, camera, wide)
+        wide, hands = detect(Crop.of_frame(camera))
+        region = find_region(estimator, frames, camera, wide, hands)
         if region is not None:
-            wide, crops = detect(region)
+            wide, hands = detect(region)
+        crops = {i: Crop.of_gripper(X_CH, CLOSE_MARGIN, CLOSE_SIZE) for i, X_CH in hands.items()}
         model = self._arm
         if self._chain is not None and crops:
             model = ArmModel(find_mount(estimator, frames, camera, crops, wide, self._gripper, self._chain))
@@ -243,14 +244,14 @@ class CadTracker:
     ) -> list[HandFit | None]:
         return fit_all(views, X_CH, finger_m, self._gripper.max_finger_m)
 
-    def _detected_crops(self, views: Mapping[int, GripperView], priors: Priors) -> dict[int, Crop]:
-        """Return crops around the gripper where it is detected in views of whole images, or known from priors."""
+    def _detect(self, views: Mapping[int, GripperView], priors: Priors) -> dict[int, Array]:
+        """Return poses X_CH (4, 4) of the gripper detected in views of whole images, or known from priors [m]."""
         poses = {i: X_CH for i in views if (X_CH := priors.pose(i)) is not None}
         rest = [i for i in views if i not in poses]
         none = [None] * len(rest)
         hands = self._fit_all([likeliest_gripper(views[i]) for i in rest], none, none)
         poses |= {i: hand.X_CH for i, hand in zip(rest, hands, strict=True) if hand is not None}
-        return {i: Crop.of_gripper(poses[i], CLOSE_MARGIN, CLOSE_SIZE) for i in views if i in poses}
+        return {i: poses[i] for i in views if i in poses}
 
     def _measure(
         self, views: Mapping[int, GripperView], wide: Mapping[int, GripperView], arm_fitter: ArmFitter, priors: Priors

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -152,6 +153,7 @@ class Scorer:
         self.close()
 
 
+@lru_cache(maxsize=8)
 def _evaluator(period_s: float) -> VideoEvaluator:
     nowhere = Path("unwritten")
     config = ScoreConfig(out=nowhere, source=nowhere, frame_period_s=period_s)

@@ -29,7 +29,7 @@ def clean(reach, t_s):
         scale=1.0 + rng.normal(0, 0.02, n),
         shapes=(None,) * n,
         still=np.zeros(n, dtype=bool),
-        mixed=np.zeros(n, dtype=bool),
+        mixed=lambda number: False,
         motion=CameraMotion(px=np.zeros(n), R_AC=np.repeat(np.eye(3)[None], n, axis=0), unit_px=1.0),
     )
 
