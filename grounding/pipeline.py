@@ -33,6 +33,7 @@ from kinebench_drake.grounding.tracking.pose import (
     load_confidence,
 )
 from kinebench_drake.grounding.tracking.smoothing import ON_PATH_CONFIDENCE, RawTrack
+from kinebench_drake.grounding.tracking.stride import StridedTracker
 from kinebench_drake.grounding.tracking.tracker import CadTracker, PoseTracker, Tracking
 from kinebench_drake.grounding.tracking.view import DenseEstimator, GripperView
 from kinebench_drake.io.frames import Frames
@@ -91,6 +92,8 @@ class PipelineResult:
     X_CH_raw: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
     """(T, 4, 4) poses of panda_hand before confidence and smoothing, in the camera of each frame [m]; NaN where no
     gripper is seen."""
+    is_between: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    """(T,) frames of which the hand alone was measured (`StridedTracker`)."""
     curves: Mapping[str, Array] = field(default_factory=dict)
     """Curves (T,) of the track file: share of matched points, their distance [m] and weight of ICP; NaN without it."""
 
@@ -172,7 +175,9 @@ class GroundingPipeline:
             tracker = CadTracker(estimator, GRIPPERS[gripper](), confidence)
         return cls(tracker, confidence, gripper)
 
-    def ground(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> PipelineResult:
+    def ground(
+        self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS, stride: int = 1
+    ) -> PipelineResult:
         """Estimate the gripper track of a video.
 
         Args:
@@ -180,6 +185,7 @@ class GroundingPipeline:
             camera: camera of the frames, at any size of the same shape.
             t_s: (T,) task times [s].
             priors: quantities that replace their estimates.
+            stride: every how many frames are measured in full, where the hand is Franka's.
 
         Raises:
             InputError: the priors do not fit the video.
@@ -192,8 +198,9 @@ class GroundingPipeline:
             priors = priors.with_first_pose(_initial_hand_pose(priors.initial_state, camera), len(frames))
         if self._gripper is GripperKind.ROBOTIQ_2F85:  # poses in its frame need its mount, which is found only now
             priors = replace(priors, X_CH=None, initial_state=None)
-        tracking, evidence = self.observe(frames, camera, t_s, priors)
+        tracking, evidence = self.observe(frames, camera, t_s, priors, stride)
         poses = tracking.poses
+        is_between = np.array([pose is not None and pose.is_between for pose in poses])
         motion = evidence.motion
         detections = find_anomalies(evidence)
         no_poses = np.full((len(frames), 4, 4), np.nan)
@@ -231,12 +238,14 @@ class GroundingPipeline:
             camera_motion_px=None if motion.is_unknown else motion.largest_px,
             arm_consistency_px=_arm_consistency_px(poses, tracked),
             wide=tracking.wide,
-            arm_q=np.stack([p.arm.q if p and p.arm and p.arm.agrees else np.full(N_JOINTS, np.nan) for p in poses]),
+            arm_q=np.stack([p.own_q if p else np.full(N_JOINTS, np.nan) for p in poses]),
             X_CH_raw=invert(motion.X_AC) @ np.stack([no_poses[0] if p is None else p.X_CH for p in poses]) @ X_HM,
             X_MH=tracking.gripper.X_MH,
+            is_between=is_between,
             curves={
                 **_icp_curves(poses),
                 "repeated": evidence.still.astype(np.float64),
+                **({"between": is_between.astype(np.float64)} if is_between.any() else {}),
                 **{f"fault_{kind.value}": each.score for kind, each in detections.by_kind.items()},
             },
         )
@@ -253,7 +262,7 @@ class GroundingPipeline:
         return not bool(((distance <= _FIRST_M) & (angle <= _FIRST_RAD)).any())
 
     def observe(
-        self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS
+        self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS, stride: int = 1
     ) -> tuple[Tracking, AnomalyEvidence]:
         """Measure each frame, and gather the evidence for anomalies, without confidence and smoothing along the video.
 
@@ -261,18 +270,21 @@ class GroundingPipeline:
         Arguments are those of `ground`, with the camera at the size of the frames.
         """
         stabilized = not priors.replaces_stage
+        tracker = self.tracker
+        if stride > 1 and isinstance(tracker, CadTracker) and self._gripper is GripperKind.FRANKA:
+            tracker = StridedTracker(full=tracker, stride=stride)
         tracks = FeatureTracks(frames)
         motion = self._follow(frames, tracks, camera, priors) if stabilized else None
         steady = frames, camera
         if motion is not None:
             steady = motion.stabilize(frames, camera)
-            tracking = self.tracker.track(*steady, priors, motion.places)
+            tracking = tracker.track(*steady, priors, motion.places)
         else:
-            tracking = self.tracker.track(frames, camera, priors)
+            tracking = tracker.track(frames, camera, priors)
             motion = self._measure_motion(frames, tracks, tracking.robot, camera, priors)
             if stabilized and (motion.moves or motion.path is not None):
                 steady = motion.stabilize(frames, camera)
-                tracking = self.tracker.track(*steady, priors, motion.places)
+                tracking = tracker.track(*steady, priors, motion.places)
         resolved: Sequence[FramePose | None] = tracking.poses
         if tracking.domain is not Domain.ARM:
             resolved = resolve_flips(tracking.poses, is_symmetric=tracking.gripper.is_symmetric)

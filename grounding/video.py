@@ -9,6 +9,7 @@ from kinebench_drake.grounding.anomaly.camera_motion import find_cuts
 from kinebench_drake.grounding.camera.choice import CameraChooser, PriorSource
 from kinebench_drake.grounding.camera.evidence import CameraChoice
 from kinebench_drake.grounding.camera.framing import FIRST_FRAME_ADVICE
+from kinebench_drake.grounding.camera.watch import CameraWatch
 from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.grounding.panels.panel import Panel
 from kinebench_drake.grounding.panels.split import Tile
@@ -50,6 +51,8 @@ class Grounder:
         table_height_m: float | None = None,
         gripper: GripperKind = GripperKind.AUTO,
         trusts_camera: bool = False,
+        stride: int = 1,
+        watch: CameraWatch | None = None,
     ) -> GroundingResult:
         """Choose the camera of a video, ground the video, and confirm the camera by the arm of the track.
 
@@ -63,6 +66,8 @@ class Grounder:
             table_height_m: height of the table top in the robot base frame that is stated with it [m]; None: none is.
             gripper: gripper of the robot.
             trusts_camera: True to take the camera, or without one the benchmark's, as exact, and whatever is seen.
+            stride: every how many frames are measured in full.
+            watch: spot checks of a named camera; None: it is checked.
 
         Raises:
             InputError: the priors do not fit the video.
@@ -76,7 +81,7 @@ class Grounder:
             raise UnmeasurableError(
                 f"cut before {places}: several clips in one video; split it there and score each clip by itself"
             )
-        run = CameraChooser(self._parts, clip, priors, gripper, self._table_height_m)
+        run = CameraChooser(self._parts, clip, priors, gripper, self._table_height_m, stride, watch)
         if camera is None and not trusts_camera:
             result = run.ground_unnamed()
         else:

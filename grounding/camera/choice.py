@@ -15,6 +15,7 @@ from kinebench_drake.grounding.camera.evidence import BASE_UNKNOWN, BetterReadin
 from kinebench_drake.grounding.camera.framing import FIRST_FRAME_ADVICE, Framing, apply_framing, find_framing
 from kinebench_drake.grounding.camera.lens import pixel_shapes
 from kinebench_drake.grounding.camera.recognition import Recognition
+from kinebench_drake.grounding.camera.watch import CameraWatch
 from kinebench_drake.grounding.components import GroundingComponents
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, Priors
@@ -85,6 +86,10 @@ class CameraChooser:
     gripper: GripperKind
     table_height_m: float
     """Height of the table top in the robot base frame where none is stated with the camera [m]."""
+    stride: int = 1
+    """Every how many frames are measured in full."""
+    watch: CameraWatch | None = None
+    """Spot checks of the named camera; None: every clip is checked."""
 
     def ground_trusted(self, choice: CameraChoice) -> GroundingResult:
         """Ground with a camera that is taken as exact."""
@@ -94,9 +99,13 @@ class CameraChooser:
     def ground_named(self, choice: CameraChoice) -> GroundingResult:
         """Ground with the named camera, and check it."""
         view = self._view(choice)
-        result = self._checked(view, self._ground(view))
+        hand = self._ground(view)
+        if self.watch is not None and not self.watch.is_due(hand):
+            return view.result(hand)
+        result = self._checked(view, hand)
+        if self.watch is not None:
+            self.watch.note(passed=result.choice.reason is None)
         # Where another reading explains the hand, the arm alone would agree with the wrong one, too.
-        hand = result.measured
         if result.choice.better_reading is not None or not (self._is_lost(hand) or self._may_be_robotiq(view, hand)):
             return result
         other = self._ground_other(view)
@@ -348,7 +357,7 @@ class CameraChooser:
     def _ground(self, view: _View, gripper: GripperKind | None = None) -> PipelineResult:
         """Track a gripper, by default the first one."""
         pipeline = self.parts.of(gripper or self._tracked).pipeline
-        return pipeline.ground(view.frames, view.camera, view.t_s, view.priors)
+        return pipeline.ground(view.frames, view.camera, view.t_s, view.priors, self.stride)
 
     def _ground_other(self, view: _View) -> PipelineResult | None:
         """Track a Robotiq 2F-85, else the flange by the links alone; None if neither is seen."""

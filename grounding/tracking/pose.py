@@ -76,6 +76,8 @@ class FramePose:
     """Shape of the hand's contour, in unfamiliar videos; None where its arm does not agree or it is not measured."""
     gap_log_likelihood: Array | None = None
     """(G,) log-likelihood of `GAPS_M` by the edges of the image, in unfamiliar videos where the arm agrees."""
+    is_between: bool = False
+    """True if the hand alone was measured (`StridedTracker`); the rest is that of a frame beside it."""
     icp: FusedPose | None = None
     """Combination of the fit with the registration of the depth; None before it, or if too few points match."""
 
@@ -90,6 +92,11 @@ class FramePose:
     def arm_agrees(self) -> bool:
         """True if one posture explains both links and hand."""
         return self.arm is not None and self.arm.agrees
+
+    @property
+    def own_q(self) -> Array:
+        """(7,) joint angles [rad] where hand and arm agree in this very frame; else NaN."""
+        return self.arm.q if self.arm is not None and self.arm.agrees and not self.is_between else np.full(7, np.nan)
 
     def with_arm(self, arm: ArmFit, overlap: float) -> "FramePose":
         """Return the pose with another fit of the arm in place of its own, and its overlap."""

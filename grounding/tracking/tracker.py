@@ -78,6 +78,14 @@ class Tracking:
         return sum(pose is not None and pose.arm_agrees for pose in self.poses)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandView:
+    """Hand fitted to a view alone."""
+
+    fit: HandFit
+    view: GripperView
+
+
 class PoseTracker(Protocol):
     """Estimator of hand poses from frames: `CadTracker` or another program."""
 
@@ -193,6 +201,18 @@ class CadTracker:
             domain=domain,
             gripper=model.gripper,
         )
+
+    def fit_hands(self, frames: Frames, camera: Camera, X_CH: Mapping[int, Array]) -> dict[int, HandView]:
+        """Return the hands seen near poses X_CH (4, 4) [m] by frame number, fitted without the arm."""
+        crops = {i: Crop.of_gripper(X, CLOSE_MARGIN, CLOSE_SIZE) for i, X in X_CH.items()}
+        views = dict(self._estimator.estimate(frames, camera, crops))
+        none = [None] * len(views)
+        fits = zip(views, self._fit_all(list(views.values()), none, none), strict=True)
+        return {i: HandView(fit=fit, view=views[i]) for i, fit in fits if fit is not None}
+
+    def overlap(self, hand: HandView, X_CH: Array) -> float:
+        """Return the overlap of the mask of a hand with the gripper rendered at a pose (4, 4) [m]."""
+        return self._silhouette.overlap(hand.view, X_CH, finger_or_default(hand.fit.finger_m))
 
     def _with_contours(
         self, poses: Mapping[int, FramePose], arm: ArmFitter, frames: Frames, camera: Camera

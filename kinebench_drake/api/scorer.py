@@ -1,8 +1,8 @@
 """Scores of clips in a training loop: models that stay loaded, a verdict, its reasons, numbers and a bounded reward."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -22,11 +22,14 @@ from kinebench_drake.io.video import Video
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.runs.config import ScoreConfig, check_period
 from kinebench_drake.runs.evaluator import SampleHashes, complete_row
-from kinebench_drake.runs.resources import Resources
 from kinebench_drake.runs.score import VideoEvaluator, VideoMeasurement
 
 if TYPE_CHECKING:  # loads Drake
     from kinebench_drake.metrics.executability import Executability
+
+SPOT_CHECK = 16
+"""Clips of which one has the camera of a `Scorer` checked."""
+_NOWHERE = Path("unwritten")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,22 +71,34 @@ class Scorer:
             best = clips[max(range(len(clips)), key=lambda k: scores[k].reward)]
     """
 
-    def __init__(self, *, jobs: int = 1, weights: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        jobs: int = 1,
+        weights: Mapping[str, float] | None = None,
+        camera: Camera | CameraSetting | PathName | None = None,
+        stride: int = 1,
+    ) -> None:
         """Create a scorer; processes start, and models are loaded, with the first clip.
 
         Args:
             jobs: processes of `batch`; 1: the calling one. With more, a script needs the guard
                 `if __name__ == "__main__":`.
             weights: exponents of the terms of the executability, 0 leaves one out; 1 for those not named.
+            camera: the camera of all clips for which a call names none, as in a call. In each process it is checked
+                with every clip until one passes, then with one clip in 16; None: each clip's is checked.
+            stride: every how many frames are measured in full (docs/reward.md).
 
         Raises:
-            UsageError: there is no such number of processes.
+            UsageError: there is no such number of processes, no such camera, or no such stride.
         """
-        if jobs < 1:
-            raise UsageError(f"jobs is {jobs}, expected 1 or more")
+        for name, value in {"jobs": jobs, "stride": stride}.items():
+            if value < 1:
+                raise UsageError(f"{name} is {value}, expected 1 or more")
         self._jobs = jobs
         self._weights = dict(weights or {})
-        self._tools: Resources | None = None
+        self._make_worker = partial(_ClipScorer, camera_setting(camera), stride)
+        self._worker: _ClipScorer | None = None
         self._queue: JobQueue[tuple[NDArray[np.uint8], Mapping[str, Any]], Score] | None = None
 
     @own_arguments()
@@ -129,14 +144,14 @@ class Scorer:
         if self._jobs == 1:
             return [self._score(frames, ask) for frames in clips]
         if self._queue is None:
-            self._queue = JobQueue(_make_worker, workers=self._jobs, most=np.inf)
+            self._queue = JobQueue(self._make_worker, workers=self._jobs, most=np.inf)
         futures = self._queue.submit([(frames, ask) for frames in clips])
         return [future.result() for future in futures or ()]
 
     def _score(self, frames: NDArray[np.uint8], ask: Mapping[str, Any]) -> Score:
-        if self._tools is None:
-            self._tools = _evaluator(ask["period_s"]).setup()
-        return _score(self._tools, frames, **ask)
+        if self._worker is None:
+            self._worker = self._make_worker()
+        return self._worker((frames, ask))
 
     def close(self) -> None:
         """End the processes."""
@@ -153,29 +168,43 @@ class Scorer:
         self.close()
 
 
-@lru_cache(maxsize=8)
-def _evaluator(period_s: float) -> VideoEvaluator:
-    nowhere = Path("unwritten")
-    config = ScoreConfig(out=nowhere, source=nowhere, frame_period_s=period_s)
-    return VideoEvaluator(config=config, overrides=Overrides())
+class _ClipScorer:
+    """Scoring of clips in one process."""
+
+    def __init__(self, camera: CameraSetting | None, stride: int) -> None:
+        from kinebench_drake.grounding.camera.watch import CameraWatch  # loads torch
+
+        config = ScoreConfig(out=_NOWHERE, source=_NOWHERE, stride=stride)
+        self._evaluator = VideoEvaluator(config=config, overrides=Overrides())
+        self._tools = self._evaluator.setup()
+        self._camera = camera
+        self._watch = CameraWatch(every=SPOT_CHECK)
+
+    def __call__(self, item: tuple[NDArray[np.uint8], Mapping[str, Any]]) -> Score:
+        """Score frames (T, H, W, 3) with the arguments of a call."""
+        frames, ask = item
+        return self._score(np.asarray(frames), **ask)
+
+    def _score(
+        self, frames: NDArray[np.uint8], *, camera: CameraSetting | None, period_s: float, **rating: Any
+    ) -> Score:
+        check_period(period_s)
+        watch = self._watch if camera is None and self._camera is not None else None
+        sample = VideoSample(id="clip", path=Path("clip"), video="clip", frame_period_s=period_s)
+        sample = sample.filmed_by(camera or self._camera, CameraSource.ARGUMENT)
+        video = Video(frames=frames, fps=None, stamps_s=None)
+        measured: list[VideoMeasurement] = []
+
+        def measure(row: SampleRow) -> SampleRow:
+            measured.append(self._evaluator.measure(sample, video, self._tools, row, watch))
+            return measured[0].row
+
+        with one_thread():
+            row = complete_row(self._evaluator.blank_row(sample, SampleHashes(content="", input=None)), measure)
+        return _read_score(row, _rate(measured[0], **rating) if measured else None)
 
 
-def _score(
-    tools: Resources, frames: NDArray[np.uint8], *, camera: CameraSetting | None, period_s: float, **ask: Any
-) -> Score:
-    check_period(period_s)
-    sample = VideoSample(id="clip", path=Path("clip"), video="clip").filmed_by(camera, CameraSource.ARGUMENT)
-    evaluator = _evaluator(period_s)
-    video = Video(frames=np.asarray(frames), fps=None, stamps_s=None)
-    measured: list[VideoMeasurement] = []
-
-    def measure(row: SampleRow) -> SampleRow:
-        measured.append(evaluator.measure(sample, video, tools, row))
-        return measured[0].row
-
-    with one_thread():
-        row = complete_row(evaluator.blank_row(sample, SampleHashes(content="", input=None)), measure)
-    rating = _rate(measured[0], **ask) if measured else None
+def _read_score(row: SampleRow, rating: "Executability | None") -> Score:
     numbers = {name: float(value) for name, value in row.metrics.numbers.items() if value is not None}
     reasons = row.executable_reasons if row.reason is None else (row.reason,)
     return Score(
@@ -205,8 +234,3 @@ def _rate(
         curves[FAULT + "start"] = np.full(len(measured.grounding.track.t_s), ratio)
     faults = gather_faults(measured.kinematics, curves)
     return rate_faults(faults, weights, motion_m) if faults else None
-
-
-def _make_worker() -> Callable[[tuple[NDArray[np.uint8], Mapping[str, Any]]], Score]:
-    tools = _evaluator(1.0).setup()
-    return lambda item: _score(tools, item[0], **item[1])

@@ -25,6 +25,14 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, metavar="N", help="Processes.")
 @click.option("--queue", type=click.IntRange(1), default=256, show_default=True, metavar="N", help="Most open clips.")
 @click.option("--camera", metavar="NAME|FILE", help="Camera of the clips.  [default: read off the clips]")
+@click.option(
+    "--stride",
+    type=click.IntRange(1),
+    default=1,
+    show_default=True,
+    metavar="K",
+    help="Measure every K-th frame in full, which is faster.",
+)
 @click.option("--frame-period", default=0.2, show_default=True, metavar="S", help="Task time between frames.")
 @click.option("--timeout", default=600.0, show_default=True, metavar="S", help="Time limit of a clip.")
 @click.option(
@@ -37,6 +45,7 @@ def serve(
     workers: int,
     queue: int,
     camera: str | None,
+    stride: int,
     frame_period: float,
     timeout: float,
     most_mb: int,
@@ -60,7 +69,7 @@ def serve(
     token = token_file.read().strip() if token_file else os.environ.get(TOKEN_VARIABLE)
     if not token and host not in LOOPBACK:
         raise UsageError(f"--host {host}: other machines can reach it, so it needs --token-file or {TOKEN_VARIABLE}")
-    make_worker = ClipWorkerFactory(camera=camera, period_s=frame_period)
+    make_worker = ClipWorkerFactory(camera=camera, period_s=frame_period, stride=stride)
     jobs = JobQueue(make_worker, workers=workers, most=queue, timeout_s=timeout)
     service = RewardService(jobs, most_bytes=most_mb << 20, token=token or None)
     with socket.create_server((host, port)) as listener:

@@ -62,11 +62,12 @@ class ExecutabilityReward:
         period_s: float = 0.2,
         jobs: int = 1,
         weights: Mapping[str, float] | None = None,
+        stride: int = 1,
         scorer: Scorer | None = None,
     ) -> None:
         """Create the reward; arguments are those of `Scorer`, or a `scorer` that is shared."""
-        self._scorer = scorer or Scorer(jobs=jobs, weights=weights)
-        self._camera = camera
+        self._scorer = scorer or Scorer(jobs=jobs, weights=weights, camera=camera, stride=stride)
+        self._camera = camera if scorer else None
         self._period_s = period_s
 
     def score(self, clips: Sequence[Any], first_frames: Sequence[Any] | None = None) -> list[Score]:

@@ -60,10 +60,12 @@ class ClipWorkerFactory:
     camera: str | None
     """Name or path of the camera; None: read off the clips."""
     period_s: float
+    stride: int = 1
+    """Every how many frames are measured in full."""
 
     def __call__(self) -> Callable[[ClipRequest], Score]:
         """Return the function that scores a clip."""
-        return partial(self._score, Scorer())
+        return partial(self._score, Scorer(camera=self.camera, stride=self.stride))
 
     def _score(self, scorer: Scorer, request: ClipRequest) -> Score:
         suffix = _SUFFIXES.get(request.body[:4], ".mp4")
@@ -76,7 +78,7 @@ class ClipWorkerFactory:
                     options = {name: archive[name] for name in _ARRAYS.intersection(archive.files)}
             frames = np.asarray(options.pop("frames") if "frames" in options else read_video(path).frames)
         period_s = float(options.pop("period_s", self.period_s))
-        return scorer(frames, period_s=request.period_s or period_s, camera=self.camera, **options)
+        return scorer(frames, period_s=request.period_s or period_s, **options)
 
 
 class RewardService:

@@ -305,6 +305,14 @@ class ScoreConfig(SourceConfig):
             "either, or with none, the links alone give the flange."
         ),
     ] = GripperKind.AUTO
+    stride: Annotated[
+        int,
+        Option(
+            "Measure every K-th frame in full and the hand alone between them; faster, see docs/reward.md.",
+            least=1,
+            metavar="K",
+        ),
+    ] = 1
     overlay: Annotated[bool, Option("Write videos with the tracked gripper drawn in.", also="--no-overlay")] = False
     pixels_only: Annotated[
         bool,

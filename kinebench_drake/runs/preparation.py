@@ -33,6 +33,7 @@ from kinebench_drake.track import Domain, GripperTrack, InitialState
 from kinebench_drake.view_name import AUTO_VIEW
 
 if TYPE_CHECKING:  # loads torch and Open3D
+    from kinebench_drake.grounding.camera.watch import CameraWatch
     from kinebench_drake.grounding.video import Grounder
     from kinebench_drake.grounding.video_result import GroundingResult
 
@@ -50,6 +51,8 @@ def ground_sample(
     *,
     duration_s: float | None = None,
     view: str = AUTO_VIEW,
+    stride: int = 1,
+    watch: "CameraWatch | None" = None,
 ) -> "tuple[TimedFrames, GroundingResult]":
     """Ground a video with the camera, the times and the priors that its sample and the options state.
 
@@ -59,6 +62,8 @@ def ground_sample(
         period_s: task time between two frames from the command line [s].
         duration_s: task time over which its frames lie evenly [s]; None: they are one period apart.
         view: panel of tiled frames, where the sample names none.
+        stride: every how many frames are measured in full.
+        watch: spot checks of a named camera; None: it is checked.
     """
     video.require_measurable()
     timed = time_frames(sample, video, period_s, duration_s)
@@ -81,6 +86,8 @@ def ground_sample(
         table_height_m=sample.table_height_m if named else None,
         gripper=gripper,
         trusts_camera=overrides.poses is not None,
+        stride=stride,
+        watch=watch,
     )
     return timed, result if panels is None else replace(result, panels=panels)
 

@@ -48,6 +48,7 @@ from kinebench_drake.runs.runner import NullRunObserver, RunObserver, RunSummary
 from kinebench_drake.track import GripperTrack
 
 if TYPE_CHECKING:  # loads torch and Open3D
+    from kinebench_drake.grounding.camera.watch import CameraWatch
     from kinebench_drake.grounding.video_result import GroundingResult
     from kinebench_drake.metrics.kinematic_result import KinematicResult
 
@@ -231,12 +232,22 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
         self.write(sample, video, tools, measurement)
         return measurement.row
 
-    def measure(self, sample: VideoSample, video: Video, tools: Resources, row: SampleRow) -> VideoMeasurement:
-        """Ground and judge a decoded video and complete its `row`; nothing is written."""
+    def measure(
+        self,
+        sample: VideoSample,
+        video: Video,
+        tools: Resources,
+        row: SampleRow,
+        watch: "CameraWatch | None" = None,
+    ) -> VideoMeasurement:
+        """Ground and judge a decoded video and complete its `row`; nothing is written.
+
+        A named camera is checked, or spot-checked by a `watch`.
+        """
         config = self.config
         timed, grounding = ground_sample(
             video, sample, self.overrides, tools.grounder, config.frame_period_s, config.gripper,
-            duration_s=config.task_duration_s, view=config.view,
+            duration_s=config.task_duration_s, view=config.view, stride=config.stride, watch=watch,
         )  # fmt: skip
         track = grounding.visible_track
         row = _measured_row(row, sample, video, timed, grounding)
@@ -309,6 +320,7 @@ class VideoEvaluator(Evaluator[VideoSample, Resources]):
             "first": None if initial is None else [*initial.X_BG.ravel().tolist(), str(initial.finger_width_m)],
             "depth_exact": self.overrides.depth_exact,
             **({} if self.config.gripper is GripperKind.AUTO else {"gripper": self.config.gripper.value}),
+            **({} if self.config.stride == 1 else {"stride": self.config.stride}),
             "joints": self.config.format is not None,
             "scene": [sample.mirrored, sample.table_height_m],
             "reference": None if sample.reference_X_BG is None else sample.reference_X_BG.ravel().tolist(),
