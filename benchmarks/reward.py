@@ -42,6 +42,8 @@ class Clip:
     """(T, H, W, 3) RGB."""
     hand_px: Array
     """(T, 2) centre of the gripper [px]."""
+    p_C: Array
+    """(T, 3) position of panda_hand in the camera frame [m]."""
     other: Pictures
     """Frames of the clip of another prompt."""
 
@@ -69,13 +71,16 @@ def read_clips(folder: Path) -> list[Clip]:
     clips = []
     for k, path in enumerate(paths):
         with np.load(folder / "truth" / f"{path.stem}.npz") as truth:
-            centres = transform_points(truth["camera_from_hand"], GRIPPER_CENTRE_H[None])[:, 0]
+            X_CH = truth["camera_from_hand"]
+        centres = transform_points(X_CH, GRIPPER_CENTRE_H[None])[:, 0]
         other = frames[(k + 1) % len(paths)]
-        clips.append(Clip(id=path.stem, frames=frames[k], hand_px=camera.project(centres), other=other))
+        hand_px = camera.project(centres)
+        clips.append(Clip(id=path.stem, frames=frames[k], hand_px=hand_px, p_C=X_CH[:, :3, 3], other=other))
     return clips
 
 
-def _blur(sigma: float) -> Callable[[Pictures], Pictures]:
+def blur(sigma: float) -> Callable[[Pictures], Pictures]:
+    """Return the function that blurs pictures."""
     return lambda image: np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), dtype=np.uint8)
 
 
@@ -103,8 +108,9 @@ def _freeze(clip: Clip, frames: float) -> Pictures:
     return clip.at(np.where((order >= middle) & (order < middle + frames), middle, order))
 
 
-def _hide(clip: Clip, frames: float) -> Pictures:
-    start = len(clip.frames) // 3
+def hide(clip: Clip, frames: float, start: int | None = None) -> Pictures:
+    """Return the clip with the hand hidden for some frames, by default from a third on."""
+    start = len(clip.frames) // 3 if start is None else start
     return clip.change_hand(lambda part: np.full_like(part, 128), start, start + int(frames))
 
 
@@ -145,9 +151,9 @@ HACKS: Mapping[str, Callable[[Clip], Pictures]] = MappingProxyType(
         "gripper scrolled out of the picture": lambda c: _drift(c, 0.6 * c.frames.shape[2]),
         "slow zoom": lambda c: _zoom(c, 0.25),
         "camera drifts": lambda c: _drift(c, 20.0),
-        "hand blurred away": lambda c: c.change_hand(_blur(12.0)),
-        "picture blurred": lambda c: np.stack([_blur(3.0)(frame) for frame in c.frames]),
-        "hand hidden in six frames": lambda c: _hide(c, 6),
+        "hand blurred away": lambda c: c.change_hand(blur(12.0)),
+        "picture blurred": lambda c: np.stack([blur(3.0)(frame) for frame in c.frames]),
+        "hand hidden in six frames": lambda c: hide(c, 6),
         "static hand drawn over": _paste_hand,
         "cross-fade from first to last frame": _fade,
     }
@@ -156,7 +162,7 @@ HACKS: Mapping[str, Callable[[Clip], Pictures]] = MappingProxyType(
 GRADED_VIDEOS: Mapping[str, tuple[Callable[[Clip, float], Pictures], tuple[float, ...]]] = MappingProxyType(
     {
         "freeze, frames": (_freeze, (4, 5, 6, 7, 8, 10, 12, 15)),
-        "hidden hand, frames": (_hide, (1, 2, 3, 4, 6, 8, 10, 12)),
+        "hidden hand, frames": (hide, (1, 2, 3, 4, 6, 8, 10, 12)),
         "camera drift, px": (_drift, (2, 4, 6, 9, 13, 18, 24, 32)),
     }
 )

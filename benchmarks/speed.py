@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from benchmarks import markdown
 from benchmarks.options import (
     COUNT,
     EXAMPLES,
@@ -15,8 +16,10 @@ from benchmarks.options import (
     jobs_option,
     log,
     one_thread,
+    out_option,
     work_folder,
     work_option,
+    write_section,
 )
 from benchmarks.record import RESULTS, BenchmarkRecord, compare_records, write_pages
 
@@ -204,4 +207,34 @@ def figures(results: Path) -> None:
         click.echo(line)
 
 
-COMMANDS = (accuracy, robustness, ik, audit, throughput, scale, simulation, figures)
+@click.command(
+    epilog="\b\nExamples:\n  python -m benchmarks rate --out docs/reward.md\n  python -m benchmarks rate --memory 2000"
+)
+@click.option(
+    "--videos", type=EXISTING_FOLDER, default=EXAMPLES, show_default=True, help="Clean clips with their truth."
+)
+@click.option("--limit", type=COUNT, help="Number of clips.  [default: all]", metavar="N")
+@click.option("--faults", type=click.IntRange(0), default=4, show_default=True, help="Faults in each clip, by itself.")
+@click.option("--jobs", type=click.IntRange(0), default=2, show_default=True, help="Processes of the rate; 0: none.")
+@click.option("--memory", type=COUNT, help="Only score N clips, and print the resident memory.", metavar="N")
+@click.option("--stride", type=COUNT, default=2, show_default=True, help="Stride with --memory.")
+@out_option
+def rate(
+    videos: Path, limit: int | None, faults: int, jobs: int, memory: int | None, stride: int, out: Path | None
+) -> None:
+    """Measure the reward of 25 frames of 256 px: processor time by stage, errors, faults of one frame, memory."""
+    one_thread()
+    from benchmarks.rate import cut_clips, measure, measure_memory, rate_section, wall_rates
+
+    camera = videos / "camera.json"
+    clips = cut_clips(videos)[:limit]
+    if memory is not None:
+        for count, seconds, resident_mb in measure_memory(clips, camera, memory, stride, max(1, jobs)):
+            click.echo(f"{count} clips, {seconds:.0f} s: {' + '.join(f'{mb:.0f}' for mb in resident_mb)} MB")
+        return
+    runs, trials = measure(clips, camera, faults=faults, log=log)
+    walls = wall_rates(clips, camera, jobs) if jobs else {}
+    write_section(out, markdown.section("Rates", rate_section(runs, trials, walls)))
+
+
+COMMANDS = (accuracy, robustness, ik, audit, throughput, scale, simulation, rate, figures)

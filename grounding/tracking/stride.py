@@ -20,7 +20,7 @@ from kinebench_drake.grounding.tracking.tracker import CadTracker, HandView, Tra
 from kinebench_drake.io.frames import Frames
 from kinebench_drake.track import Domain
 
-# Set on the clips of `python -m benchmarks stride`: clean ones have 0.84 and more, and 1.31 and less.
+# Set on the clips of `python -m benchmarks rate`: clean ones have 0.84 and more, and 1.31 and less.
 _LEAST_OVERLAP = 0.8
 """Overlap of mask and rendered gripper from which on a hand alone is taken."""
 _MOST_GROWTH = 1.4

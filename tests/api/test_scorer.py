@@ -79,5 +79,9 @@ def test_a_clip_that_cannot_be_measured_has_no_reward_and_a_reason() -> None:
 def test_wrong_arguments_are_usage_errors() -> None:
     with pytest.raises(UsageError, match="jobs is 0"):
         Scorer(jobs=0)
+    with pytest.raises(UsageError, match="stride is 0"):
+        Scorer(stride=0)
+    with pytest.raises(UsageError, match="nowhere"):
+        Scorer(camera="nowhere")
     with pytest.raises(UsageError, match="period_s"):
         Scorer()(np.zeros((9, 96, 96, 3), np.uint8), period_s=-1.0)
