@@ -16,6 +16,7 @@ from av.sidedata.sidedata import SideData
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
+from PIL import Image, ImageSequence
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
@@ -28,9 +29,6 @@ _OPTIONS = {"format_whitelist": "mov,matroska,avi,gif", "protocol_whitelist": "f
 _DECODER = {"max_pixels": str(MAX_PIXELS)}
 _PARAMETERS = "no-mbtree=1"
 """Of x264: its tree of macroblocks reads memory that nobody has written, so that small films differ each time."""
-_GIF_EXTENSION = b"!"
-_GIF_CONTROL = b"!\xf9"
-_GIF_IMAGE = b","
 LEAD_S = 1.0
 """Time by which decoding starts earlier: seeking uses the decoding order, not the display order [s]."""
 _SQUARE = 0.01
@@ -55,6 +53,9 @@ def read_container(path: Path, part: VideoPart) -> Video:
             frames = collect_frames(path.name, _decode(path.name, container, stream, part, rate, stamps))
             missing = _missing_s(container, stream, stamps, rate) if part.to_s is None else None
             is_gif = container.format.name == "gif"
+        if is_gif and not _gif_ends(path):
+            raise InputError(f"{path.name}: cut off after {len(frames)} frames (the gif lacks its trailer)")
+        is_timeless = is_gif and _is_timeless(path, len(frames) - 1)
     except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
         progress = f" after {len(stamps)} frames" if stamps else ""
         reason = getattr(error, "strerror", None) or str(error)
@@ -64,11 +65,6 @@ def read_container(path: Path, part: VideoPart) -> Video:
     kept = len(frames) if part.frames is None else part.frames
     if kept > len(frames):
         raise InputError(f"{path.name}: has {len(frames)} frames{_span(part)}, its metadata says {kept}")
-    if is_gif and not _gif_ends(path):
-        raise InputError(f"{path.name}: cut off after {len(frames)} frames (the gif lacks its trailer)")
-    # FFmpeg replaces delays that are 0, or not stated, by 0.1 s.
-    steps = len(frames) - 1
-    is_timeless = is_gif and sum(delay > 0 for delay in islice(_gif_delays(path), steps)) < steps
     fps = float(rate) if rate and not is_timeless else None
     stamps_s = _irregular_stamps(stamps[:kept], fps)
     return Video(frames=frames[:kept], fps=fps, stamps_s=stamps_s, surplus=len(frames) - kept)
@@ -177,27 +173,10 @@ def _gif_ends(path: Path) -> bool:
         return file.read().rstrip(b"\0").endswith(b";")
 
 
-def _gif_delays(path: Path) -> Iterator[int]:
-    """Yield the delay after each frame of a gif, 0 if none is stated [1/100 s] (section 23 of the format)."""
-    data = path.read_bytes()
-    at = 13 + _palette_bytes(data[10:11])
-    delay = 0
-    while (kind := data[at : at + 1]) in (_GIF_EXTENSION, _GIF_IMAGE):
-        if data[at : at + 2] == _GIF_CONTROL:
-            delay = int.from_bytes(data[at + 4 : at + 6], "little")
-        if kind == _GIF_IMAGE:
-            yield delay
-            delay = 0
-        at += 2 if kind == _GIF_EXTENSION else 11 + _palette_bytes(data[at + 9 : at + 10])
-        while size := int.from_bytes(data[at : at + 1]):
-            at += size + 1
-        at += 1
-
-
-def _palette_bytes(flags: bytes) -> int:
-    """Return the size of the palette that the flags of a gif, or of one of its images, announce [bytes]."""
-    packed = int.from_bytes(flags)
-    return 3 << (packed % 8 + 1) if packed & 0x80 else 0
+def _is_timeless(path: Path, steps: int) -> bool:
+    """Return whether one of the first `steps` frames of a gif has no delay, which FFmpeg would replace by 0.1 s."""
+    with Image.open(path, formats=["GIF"]) as gif:
+        return any(frame.info.get("duration", 0) == 0 for frame in islice(ImageSequence.Iterator(gif), steps))
 
 
 def _irregular_stamps(stamps: list[float | None], fps: float | None) -> Array | None:
