@@ -320,7 +320,7 @@ class SampleRow:
     judged: str | None = None
     """Columns of a trajectory that are judged: `joints` or `poses`."""
     followed: str | None = None
-    """Part of the poses of a trajectory that an arm of five joints is checked to follow."""
+    """Part of the poses that an arm of five joints is checked to follow."""
     arms: tuple[str, ...] | None = None
     """Arms of a trajectory of two, `left` and `right`; `details` has metrics and checks of each."""
     columns: str | None = None

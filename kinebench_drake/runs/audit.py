@@ -38,7 +38,7 @@ if TYPE_CHECKING:  # loads Drake
     from kinebench_drake.metrics.kinematic_result import KinematicResult
 
 FOLLOWED_BY_FIVE = "position and the direction of one axis of the tool: five joints cannot set the turn about it"
-"""What an audit of poses checks of an arm of five joints."""
+"""What an audit checks of the poses of an arm of five joints."""
 _MOST_WARNINGS = 5  # shown on the terminal
 
 
@@ -231,7 +231,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, tuple[Resources, ...]]):
         source = PeriodSource.TIME_STAMPS if self.config.rate_hz is None else PeriodSource.RATE
         doubts = [name_options(doubt)] if doubt else []
         track = _pose_track(trajectory) if result is None else result.track
-        is_partial = joints == JOINT_COUNTS[0] and trajectory.q is None
+        is_partial = joints == JOINT_COUNTS[0]
         row = row.extended(
             **({"base_frame_reason": doubts[0]} if doubts else {}),
             frames=len(trajectory.t_s),
