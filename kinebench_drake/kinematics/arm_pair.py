@@ -46,12 +46,12 @@ class ArmPair:
         is_shared = np.allclose(X_WB[0], X_WB[1])
         self._frames: list[list[Any]] = []
         self._links: dict[Any, str] = {}
-        at_rest = []
+        at_rest: list[Any] = []
         for k, plant in enumerate(plants):
             stages = plant.chain.motions(plant.robot.rest_q[None]).shape[1]
             frames = [graph.RegisterFrame(source, GeometryFrame(f"{k}_{stage}")) for stage in range(stages)]
             inspector = plant.query(plant.robot.rest_q).inspector()
-            own = []
+            own: list[Any] = []
             for id, solid in CollisionModel(plant).arm_solids().items():
                 if is_shared and solid.stage == 0:
                     continue

@@ -330,8 +330,8 @@ class CollisionModel:
         for width, frame, kind, pair in sorted(doubtful, key=lambda entry: entry[0]):
             if width < least[kind, frame]:  # the distance is no less than the gap
                 a, b = nearest_points(*pair, M[frame])
-                if (value := float(np.linalg.norm(a - b))) < least[kind, frame]:
-                    least[kind, frame] = value
+                if (apart := float(np.linalg.norm(a - b))) < least[kind, frame]:
+                    least[kind, frame] = apart
                     solids[kind][frame] = pair
         least[np.isinf(least)] = np.nan
         return least, solids, near
