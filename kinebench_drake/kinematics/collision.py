@@ -322,13 +322,13 @@ class CollisionModel:
             gap = slab_width(A, B, M[frames], np.array([pair.nhat_BA_W for _, pair in entries]))
             kind = int(bool(self._blocks & {id_A, id_B}))
             unsure = (distance > 0.0) & (gap < distance - _CERTAIN_M) & (A.axes is None) & (B.axes is None)
-            doubtful += [(width, frame, kind, (A, B)) for width, frame in zip(gap[unsure], frames[unsure], strict=True)]
+            doubtful += [(bound, i, kind, (A, B)) for bound, i in zip(gap[unsure], frames[unsure], strict=True)]
             for frame, value in zip(frames[~unsure], distance[~unsure], strict=True):
                 if value < least[kind, frame]:
                     least[kind, frame] = value
                     solids[kind][frame] = (A, B)
-        for width, frame, kind, pair in sorted(doubtful, key=lambda entry: entry[0]):
-            if width < least[kind, frame]:  # the distance is no less than the gap
+        for bound, frame, kind, pair in sorted(doubtful, key=lambda entry: entry[0]):
+            if bound < least[kind, frame]:  # the distance is no less than the gap
                 a, b = nearest_points(*pair, M[frame])
                 if (apart := float(np.linalg.norm(a - b))) < least[kind, frame]:
                     least[kind, frame] = apart
