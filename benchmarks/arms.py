@@ -102,7 +102,7 @@ class ArmWorker:
         contacts = {"self_collision": own_m, "table_collision": self._height(q)}
         if fault in contacts:
             return (t_s, q, None) if contacts[fault] < -DEPTH_M else None
-        if not self._is_clean(q, speed):
+        if not self._is_clean(q, np.gradient(q, t_s, axis=0)):
             return None
         if fault == "joint_limit":
             j = int(rng.integers(len(a)))
@@ -129,9 +129,10 @@ class ArmWorker:
     def _height(self, q: Array) -> float:
         return float(np.nan_to_num(self._body.table_distance(q[::6]).distance_m, nan=1.0).min())
 
-    def _is_clean(self, q: Array, speed: Array) -> bool:
-        """Return whether a motion keeps every limit by a margin."""
-        if (speed > USED * self.plant.velocity_limits).any() or self._height(q) < DEPTH_M:
+    def _is_clean(self, q: Array, v: Array) -> bool:
+        """Return whether a motion (T, J) [rad] with these speeds [rad/s] keeps every limit by a margin."""
+        allowed = USED * self.plant.robot.limits.speeds(q, v)
+        if (np.abs(v) > allowed).any() or self._height(q) < DEPTH_M:
             return False
         torque = np.array([self.plant.torque(row, 0.0 * row, 0.0 * row) for row in q[::6]])
         near = [(pair, distance) for row in q[::2] for pair, distance in self._near(row)]
