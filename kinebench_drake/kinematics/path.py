@@ -17,6 +17,7 @@ from scipy.spatial.distance import cdist
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver
+from kinebench_drake.models.joint_limits import JointLimits
 from kinebench_drake.segments import spread
 
 ALLOWANCE = 4.0
@@ -103,6 +104,13 @@ def relax(
     return q
 
 
+def _slow_room(limits: JointLimits) -> Array:
+    """Return twice the angle (J,) [rad] before a position limit in which no speed towards it is allowed."""
+    if limits.deceleration is None or limits.velocity_offset is None:
+        return np.zeros(len(limits.lower))
+    return limits.velocity_offset**2 / limits.deceleration
+
+
 class _Smoothing:
     """The least-squares problem of `relax`: speed, acceleration and limits as functions of the path."""
 
@@ -113,8 +121,9 @@ class _Smoothing:
         if accelerations is None:
             accelerations = ASSUMED_ACCELERATION_PER_SPEED * plant.planned_speeds
         self._rest = plant.robot.rest_q
-        self._lower = plant.lower + _NEAR_LIMIT_RAD
-        self._upper = plant.upper - _NEAR_LIMIT_RAD
+        near_rad = _NEAR_LIMIT_RAD + _slow_room(plant.robot.limits)
+        self._lower = plant.lower + near_rad
+        self._upper = plant.upper - near_rad
         v = 1.0 / (dt * plant.planned_speeds + np.sqrt(2.0) * noise)  # (T-1, J)
         self._stencils = [[-v, v]]
         if len(dt) > 1:
