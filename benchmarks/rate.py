@@ -12,7 +12,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -157,7 +157,7 @@ def _stretch(part: Pictures) -> Pictures:
 FAULTS: Mapping[str, Callable[[Clip, int], Pictures]] = MappingProxyType(
     {
         "jump: a frame of elsewhere": lambda c, i: _with_frame(c, i, c.frames[(i + FRAMES // 2) % FRAMES]),
-        "teleport: frames left out": lambda c, i: c.at(np.arange(FRAMES) + np.where(np.arange(FRAMES) < i, 0, 8)),
+        "teleport: frames left out": lambda c, i: c.at(np.where(np.arange(FRAMES) < i, 0.0, 8.0) + np.arange(FRAMES)),
         "hand hidden": lambda c, i: hide(c, 1, i),
         "hand blurred": lambda c, i: c.change_hand(blur(8.0), i, i + 1),
         "hand stretched by a half": lambda c, i: c.change_hand(_stretch, i, i + 1),
@@ -208,8 +208,8 @@ class RateStudy:
         self._scorers = {name: Scorer(camera=camera, **own) if own else Scorer() for name, own in SETTINGS.items()}
 
     def _score(self, setting: str, frames: Pictures, clip: Clip) -> Score:
-        camera = {} if SETTINGS[setting] else {"camera": self._camera}
-        return self._scorers[setting](np.ascontiguousarray(frames), period_s=period_s(clip), **camera)
+        camera = None if SETTINGS[setting] else self._camera
+        return self._scorers[setting](np.ascontiguousarray(frames), period_s=period_s(clip), camera=camera)
 
     def warm_up(self, clip: Clip) -> None:
         """Load the models, and have the camera checked."""
@@ -266,10 +266,10 @@ def wall_rates(clips: Sequence[Clip], camera: Path, jobs: int) -> dict[str, floa
     frames = [clip.frames for clip in clips if period_s(clip) == FRAME_PERIOD_S]
     for setting, own in SETTINGS.items():
         with Scorer(jobs=jobs, camera=camera, **own) if own else Scorer(jobs=jobs) as scorer:
-            options = {"period_s": FRAME_PERIOD_S} | ({} if own else {"camera": camera})
-            scorer.batch(frames[:1] * 2 * jobs, **options)
+            score = partial(scorer.batch, period_s=FRAME_PERIOD_S, camera=None if own else camera)
+            score(frames[:1] * 2 * jobs)
             start = time.monotonic()
-            scorer.batch(frames, **options)
+            score(frames)
             rates[setting] = len(frames) / (time.monotonic() - start)
     return rates
 
@@ -278,12 +278,12 @@ def rate_section(runs: Sequence[ClipRun], trials: Sequence[Trial], walls: Mappin
     """Return the tables: rate and accuracy, faults, processor time by stage."""
     settings = list(dict.fromkeys(run.setting for run in runs))
     by = {setting: [run for run in runs if run.setting == setting] for setting in settings}
-    found = [trial for trial in trials if trial.detected[FULL]]
+    by_full = [trial for trial in trials if trial.detected[FULL]]
     rows = []
     for setting, own in by.items():
         seconds = np.array([run.total_s for run in own])
         error_mm = 1e3 * np.concatenate([run.error_m for run in own])
-        detected = sum(trial.detected.get(setting, False) for trial in found)
+        detected = sum(trial.detected.get(setting, False) for trial in by_full)
         rows.append(
             [
                 setting,
@@ -294,12 +294,12 @@ def rate_section(runs: Sequence[ClipRun], trials: Sequence[Trial], walls: Mappin
                 f"{np.nanmedian(error_mm):.1f} / {np.nanpercentile(error_mm, TAIL):.1f}",
                 f"{np.isfinite(error_mm).mean():.1%}",
                 f"{sum(not run.score.executable for run in own)} of {len(own)}",
-                f"{detected} of {len(found)}" if setting in WITH_FAULTS else "",
+                f"{detected} of {len(by_full)}" if setting in WITH_FAULTS else "",
             ]
         )
     head = ["setting", "s a clip", "95 %", "clips a second of two processors", "measured", "error, mm, median / 95 %"]
     tables = [markdown.table([*head, "tracked", "clean ones not executable", "faults"], rows)]
-    if found:
+    if by_full:
         faults = [
             [name, str(sum(t.fault == name for t in trials))]
             + [str(sum(t.fault == name and t.detected[s] for t in trials)) for s in WITH_FAULTS]

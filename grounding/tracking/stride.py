@@ -65,9 +65,10 @@ class StridedTracker:
         }
         beside = {i: pair for pair in pairwise(keys) for i in range(pair[0] + 1, pair[1])}
         share = {i: (i - a) / (b - a) for i, (a, b) in beside.items() if a in sure and b in sure}
-        near = {i: interpolate_pose(*(sure[k].X_CH for k in beside[i]), share[i]) for i in share}
+        near = {i: interpolate_pose(sure[beside[i][0]].X_CH, sure[beside[i][1]].X_CH, own) for i, own in share.items()}
         for i, hand in self.full.fit_hands(frames, camera, near).items():
-            pose = self._between(hand, *(sure[k] for k in beside[i]), share[i])
+            before, after = beside[i]
+            pose = self._between(hand, sure[before], sure[after], share[i])
             if pose is not None:
                 poses[i] = pose
                 wide[i] = hand.view
@@ -87,8 +88,8 @@ class StridedTracker:
 
         What the hand alone does not show is that of the nearer one.
         """
-        corrections = [pose.X_CH @ invert(pose.hand_without_silhouette.X_CH) for pose in (before, after)]
-        X_CH = interpolate_pose(*corrections, share) @ hand.fit.X_CH
+        first, last = (pose.X_CH @ invert(pose.hand_without_silhouette.X_CH) for pose in (before, after))
+        X_CH = interpolate_pose(first, last, share) @ hand.fit.X_CH
         overlap = self.full.overlap(hand, X_CH)
         usual = max(pose.hand_without_silhouette.residual for pose in (before, after))
         if overlap < _LEAST_OVERLAP or hand.fit.residual > _MOST_GROWTH * usual:

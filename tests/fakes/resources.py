@@ -109,6 +109,8 @@ class FakeGrounder:
         table_height_m=None,
         gripper=GripperKind.AUTO,
         trusts_camera=False,
+        stride=1,
+        watch=None,
     ):
         fakes = Fakes.of_environment()
         fakes.note_call()
