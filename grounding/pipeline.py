@@ -274,14 +274,23 @@ class GroundingPipeline:
         if stride > 1 and isinstance(tracker, CadTracker) and self._gripper is GripperKind.FRANKA:
             tracker = StridedTracker(full=tracker, stride=stride)
         tracks = FeatureTracks(frames)
-        motion = self._follow(frames, tracks, camera, priors) if stabilized else None
+        motions = dict[bytes, CameraMotion]()
+
+        def measure_motion(robot: NDArray[np.bool_]) -> CameraMotion:
+            """Measure the motion of the camera, once for each mask of the robot."""
+            key = robot.tobytes()
+            if key not in motions:
+                motions[key] = self._measure_motion(frames, tracks, robot, camera, priors)
+            return motions[key]
+
+        motion = self._follow(frames, tracks, camera, priors, measure_motion) if stabilized else None
         steady = frames, camera
         if motion is not None:
             steady = motion.stabilize(frames, camera)
             tracking = tracker.track(*steady, priors, motion.places)
         else:
             tracking = tracker.track(frames, camera, priors)
-            motion = self._measure_motion(frames, tracks, tracking.robot, camera, priors)
+            motion = measure_motion(tracking.robot)
             if stabilized and (motion.moves or motion.path is not None):
                 steady = motion.stabilize(frames, camera)
                 tracking = tracker.track(*steady, priors, motion.places)
@@ -302,7 +311,14 @@ class GroundingPipeline:
         )
         return replace(tracking, poses=tuple(poses)), evidence
 
-    def _follow(self, frames: Frames, tracks: FeatureTracks, camera: Camera, priors: Priors) -> CameraMotion | None:
+    def _follow(
+        self,
+        frames: Frames,
+        tracks: FeatureTracks,
+        camera: Camera,
+        priors: Priors,
+        measure_motion: Callable[[NDArray[np.bool_]], CameraMotion],
+    ) -> CameraMotion | None:
         """Return the motion of a camera that clearly moves and can be followed; None otherwise.
 
         In some frames hand and arm must agree nearly as often as without following it: else the background moves.
@@ -311,7 +327,7 @@ class GroundingPipeline:
         if not self._measure_motion(frames, tracks, nothing, camera, priors, follows=False).is_clear:
             return None
         robot = self.tracker.track(frames[:1], camera).robot
-        motion = self._measure_motion(frames, tracks, robot, camera, priors)
+        motion = measure_motion(robot)
         if motion.path is None:
             return None
         steady, wide = motion.stabilize(frames, camera)
