@@ -290,15 +290,16 @@ def rate_section(runs: Sequence[ClipRun], trials: Sequence[Trial], walls: Mappin
                 f"{seconds.mean():.2f}",
                 f"{np.percentile(seconds, TAIL):.2f}",
                 f"{2.0 / seconds.mean():.2f}",
-                f"{walls[setting]:.2f}" if walls else "",
+                *([f"{walls[setting]:.2f}"] if walls else []),
                 f"{np.nanmedian(error_mm):.1f} / {np.nanpercentile(error_mm, TAIL):.1f}",
                 f"{np.isfinite(error_mm).mean():.1%}",
                 f"{sum(not run.score.executable for run in own)} of {len(own)}",
                 f"{detected} of {len(by_full)}" if setting in WITH_FAULTS else "",
             ]
         )
-    head = ["setting", "s a clip", "95 %", "clips a second of two processors", "measured", "error, mm, median / 95 %"]
-    tables = [markdown.table([*head, "tracked", "clean ones not executable", "faults"], rows)]
+    head = ["setting", "s a clip", "95 %", "clips a second of two processors", *(["measured"] if walls else [])]
+    of_clips = ["error, mm, median / 95 %", "tracked", "clean ones not executable", "faults"]
+    tables = [markdown.table([*head, *of_clips], rows)]
     if by_full:
         faults = [
             [name, str(sum(t.fault == name for t in trials))]
