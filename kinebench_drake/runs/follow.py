@@ -349,8 +349,8 @@ class FollowEvaluator(VideoEvaluator):
         except UnmeasurableError as error:
             raise UnmeasurableError(f"no camera is named, and none fits the actions: {error}") from None
         setting = CameraSetting(camera=fit.camera, table_height_m=sample.table_height_m)
-        has_lag = fit.links is not None and fit.links.lag.is_determined
-        lag_frames = 0.0 - fit.links.lag.frames if has_lag else None
+        lag = None if fit.links is None else fit.links.lag
+        lag_frames = 0.0 - lag.frames if lag is not None and lag.is_determined else None
         return _CameraFit(sample=sample.filmed_by(setting, CameraSource.FITTED), used=used, lag_frames=lag_frames)
 
     def _ground(self, sample: VideoSample, tools: Resources) -> "GroundingResult":
