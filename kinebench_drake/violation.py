@@ -13,7 +13,6 @@ class ViolationKind(Enum):
     SELF_COLLISION = "self_collision"
     TABLE_COLLISION = "table_collision"
     OBSTACLE_COLLISION = "obstacle_collision"
-    ARM_COLLISION = "arm_collision"
     DISCONTINUITY = "discontinuity"
     VELOCITY = "velocity"
     ACCELERATION = "acceleration"
@@ -30,7 +29,6 @@ UNITS = {
     ViolationKind.SELF_COLLISION: "m",
     ViolationKind.TABLE_COLLISION: "m",
     ViolationKind.OBSTACLE_COLLISION: "m",
-    ViolationKind.ARM_COLLISION: "m",
     ViolationKind.DISCONTINUITY: "m",
     ViolationKind.VELOCITY: "rad/s",
     ViolationKind.ACCELERATION: "rad/s^2",

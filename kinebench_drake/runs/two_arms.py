@@ -120,7 +120,7 @@ def find_arm_collisions(
         deepest = int(depths[:, run].min(axis=1).argmin())
         link, body = _with_sides(contacts[deepest].links, sides)
         worst = float(depths[deepest, run].min())
-        kind = ViolationKind.ARM_COLLISION
+        kind = ViolationKind.SELF_COLLISION
         violations.append(Violation.of_run(kind, run, None, worst, -tolerance_m, link=link, body=body))
     return violations, doubt
 

@@ -67,21 +67,21 @@ def test_each_arm_is_judged_and_collisions_between_them_have_their_own_reason(pa
     }
     for name, (left, right) in faults.items():
         np.savez(tmp_path / "set" / f"{name}.npz", **paths(panda, left, right))
-    summary, rows = audit(tmp_path / "set", {"arms": BASES}, fail_on="arm_collision", sarif=tmp_path / "log.sarif")
+    summary, rows = audit(tmp_path / "set", {"arms": BASES}, fail_on="self_collision", sarif=tmp_path / "log.sarif")
     assert rows["clean"].feasible is True
     assert rows["clean"].arms == ("left", "right")
     assert {*rows["clean"].details} == {"left", "right"}
     assert rows["clean"].metrics.number("executability") > rows["touch"].metrics.number("executability")
     assert {violation.arm for violation in rows["fast"].violations if violation.joint} == {"right"}
     [touch] = rows["touch"].violations
-    assert touch.kind.value == "arm_collision"
+    assert touch.kind.value == "self_collision"
     assert touch.link.startswith("left_panda_")
     assert touch.body.startswith("right_panda_")
     assert touch.value < touch.limit == -0.002
     assert (touch.arm, touch.joint) == (None, None)
-    assert summary.missed[0].startswith("arm_collision: ")
+    assert summary.missed[0].startswith("self_collision: ")
     texts = [r["message"]["text"] for r in json.loads((tmp_path / "log.sarif").read_text())["runs"][0]["results"]]
-    assert any(text.endswith(": arm collision") for text in texts)
+    assert any(text.endswith(": self collision") for text in texts)
     assert any("right " in text for text in texts)
     assert "left and right, each as one arm" in (tmp_path / "out/report.html").read_text()
     with np.load(tmp_path / "out/tracks/clean.npz") as file:
@@ -95,7 +95,7 @@ def test_of_poses_contacts_of_the_tools_alone_are_certain(panda, audit, tmp_path
     poses = {key.replace("_q", "_base_from_tcp"): panda.forward_path(q) for key, q in sides.items() if "_q" in key}
     np.savez(tmp_path / "poses.npz", t_s=sides["t_s"], **poses)
     _, rows = audit(tmp_path / "poses.npz", {"arms": BASES})
-    [touch] = [violation for violation in rows["poses"].violations if violation.kind.value == "arm_collision"]
+    [touch] = [violation for violation in rows["poses"].violations if violation.kind.value == "self_collision"]
     assert {touch.link.removeprefix("left_panda_"), touch.body.removeprefix("right_panda_")} <= {
         "hand", "leftfinger", "rightfinger", "link7"
     }  # fmt: skip
