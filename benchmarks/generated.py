@@ -38,8 +38,8 @@ def read_runs(study: Path) -> dict[str, list[SampleRow]]:
     """
     folders = sorted(path.parent for path in study.glob("*/samples.jsonl"))
     rows = {f.name: [r for r in read_rows(f).values() if r.status is not Status.ERROR] for f in folders}
-    if BEST not in rows:
-        raise UsageError(f"{study.name}: has no folder {BEST}; make it with examples/worldmodel/study.sh")
+    if not rows.keys() & {BEST, SAMPLES}:
+        raise UsageError(f"{study.name}: has no folder {BEST} or {SAMPLES}; make it with examples/worldmodel/study.sh")
     return rows
 
 
@@ -151,7 +151,8 @@ def sections(study: Path) -> Iterator[str]:
     runs = read_runs(study)
     samples = runs.pop(SAMPLES, None)
     transfer = runs.pop(TRANSFER, None)
-    yield section("Success", success_lines(runs), gain_text(runs), transfer_text(transfer) if transfer else "")
+    if BEST in runs:
+        yield section("Success", success_lines(runs), gain_text(runs), transfer_text(transfer) if transfer else "")
     if samples:
         expert = study / EXPERT
         yield section("Choice of a sample", choice_lines(study / SAMPLES, expert if expert.exists() else None))

@@ -134,12 +134,14 @@ def generated(study: Path, weights: Path, jobs: int, out: Path | None) -> None:
 
     STUDY is the folder that examples/worldmodel/study.sh made. An interrupted run continues where it was.
     """
-    from benchmarks.generated import sections
+    from benchmarks.generated import BEST, sections
     from benchmarks.generated_labels import EyeStudy
     from kinebench_drake.cli.progress import ProgressView
 
-    with ProgressView("clips") as view:
-        texts = [*sections(study), *EyeStudy(study, weights).sections(jobs, view)]
+    texts = [*sections(study)]
+    if (study / BEST).exists():
+        with ProgressView("clips") as view:
+            texts += EyeStudy(study, weights).sections(jobs, view)
     for text in texts:
         write_section(out, text)
 
