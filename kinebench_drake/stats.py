@@ -48,21 +48,8 @@ def bootstrap_mean(values: Array, rng: np.random.Generator) -> tuple[float, floa
 
     Of more than MANY values only the extreme ones are resampled one by one (`_means_of_many`).
     """
-    from scipy.stats import bootstrap
-
-    if len(values) > MANY:
-        return percentile_interval(_means_of_many(values, rng))
-
-    result = bootstrap(
-        (values,),
-        np.mean,
-        n_resamples=RESAMPLES,
-        batch=max(1, _AT_ONCE // len(values)),
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=rng,
-    )
-    return float(result.confidence_interval.low), float(result.confidence_interval.high)
+    draw = _means_of_many if len(values) > MANY else resampled_means
+    return percentile_interval(draw(values, rng))
 
 
 def _means_of_many(values: Array, rng: np.random.Generator) -> Array:
