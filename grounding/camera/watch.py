@@ -6,7 +6,7 @@ from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.segments import finite_rows
 
 _AGREEING_SHARE = 0.5
-"""Least share of the frames in which hand and arm agree, of a clip whose camera is not checked."""
+"""Least share of the frames that are tracked and in which hand and arm agree, of a clip that is not checked."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -21,8 +21,8 @@ class CameraWatch:
 
     def is_due(self, measured: PipelineResult) -> bool:
         """Return whether the camera is checked with a clip."""
-        agreeing = finite_rows(measured.arm_q)[~measured.is_between]
-        if not self._left or not agreeing.size or agreeing.mean() < _AGREEING_SHARE:
+        agreeing = (finite_rows(measured.arm_q) & measured.track.tracked)[~measured.is_between]
+        if not self._left or agreeing.mean() < _AGREEING_SHARE:
             return True
         self._left -= 1
         return False

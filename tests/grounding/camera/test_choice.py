@@ -26,6 +26,7 @@ from kinebench_drake.grounding.camera.estimate import usual_camera
 from kinebench_drake.grounding.camera.evidence import BetterReading, CameraContradiction, PictureReading
 from kinebench_drake.grounding.camera.lens import Lens
 from kinebench_drake.grounding.camera.recognition import Recognition
+from kinebench_drake.grounding.camera.watch import CameraWatch
 from kinebench_drake.grounding.pipeline import PipelineResult
 from kinebench_drake.grounding.priors import Clip, InitialStateUse, Priors
 from kinebench_drake.grounding.video import Grounder
@@ -49,7 +50,7 @@ class Tracker:
         self.domain = domain
         self.tracks = tracks
 
-    def ground(self, frames, camera, t_s, priors):
+    def ground(self, frames, camera, t_s, priors, stride=1):
         self.parts.asked.append("assumed" if priors.camera_is_assumed else self.name)
         tracked = np.full(T, self.tracks)
         X = np.where(tracked[:, None, None], make_pose(np.eye(3), [0.4, 0.0, 0.3]), np.nan)
@@ -73,6 +74,7 @@ class Tracker:
             wide=(),
             arm_q=np.full((T, 7), 0.1 if self.parts.fitted else np.nan),
             X_CH_raw=X,
+            is_between=np.zeros(T, bool),
         )
 
 
@@ -168,11 +170,12 @@ def contradiction(gripper_m):
     return CameraContradiction(agreement=0.3, better=0.7, focal_ratio=0.7, gripper_m=gripper_m, gripper_rad=0.01)
 
 
-def ground(evidence, frames=SQUARE, *, source=None, gripper=GripperKind.AUTO):
+def ground(evidence, frames=SQUARE, *, source=None, gripper=GripperKind.AUTO, watch=None):
     """Ground a video, unnamed if there is no source."""
     camera = None if source is None else benchmark_camera()
     clip = Clip(frames=frames, t_s=0.1 * np.arange(len(frames)))
-    return Grounder(evidence).ground(clip, camera, source=source or CameraSource.ARGUMENT, gripper=gripper)
+    options = {"source": source or CameraSource.ARGUMENT, "gripper": gripper, "watch": watch}
+    return Grounder(evidence).ground(clip, camera, **options)
 
 
 @pytest.mark.parametrize(
@@ -446,3 +449,19 @@ def test_a_video_with_a_cut_is_unmeasurable_and_the_message_names_the_frame():
     frames = np.repeat(np.concatenate([scene, 255 - scene]), 6, axis=0)
     with pytest.raises(UnmeasurableError, match=r"cut before frame 6: several clips in one video"):
         Grounder(Evidence()).ground(Clip(frames=frames, t_s=np.arange(T) / 10))
+
+
+def test_a_watched_camera_is_checked_with_clips_until_one_passes_and_then_spot_checked():
+    evidence = Evidence(agreements=(0.2, 0.9, 0.2, 0.9))
+    watch = CameraWatch(every=3)
+    results = [ground(evidence, source=CameraSource.ARGUMENT, watch=watch).choice for _ in range(6)]
+    assert [choice.agreement for choice in results] == [0.2, 0.9, None, None, 0.2, 0.9]
+    assert [choice.reason is None for choice in results] == [False, True, True, True, False, True]
+
+
+def test_a_clip_in_which_hand_and_arm_do_not_agree_has_a_watched_camera_checked():
+    evidence = Evidence(agreements=(0.9,))
+    watch = CameraWatch(every=3)
+    ground(evidence, source=CameraSource.ARGUMENT, watch=watch)
+    evidence.fitted = False
+    assert ground(evidence, source=CameraSource.ARGUMENT, watch=watch).choice.reason is not None

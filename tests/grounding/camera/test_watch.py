@@ -11,7 +11,8 @@ def clip(agreeing: int) -> SimpleNamespace:
     """A clip of 8 frames, every second one measured in full; hand and arm agree in some of these."""
     q = np.full((8, 7), np.nan)
     q[0 : 2 * agreeing : 2] = 0.0
-    return SimpleNamespace(arm_q=q, is_between=np.arange(8) % 2 == 1)
+    track = SimpleNamespace(tracked=np.ones(8, dtype=bool))
+    return SimpleNamespace(arm_q=q, is_between=np.arange(8) % 2 == 1, track=track)
 
 
 def checks(watch: CameraWatch, agreeing: list[int], *, passed: list[bool]) -> list[bool]:
