@@ -63,6 +63,7 @@ STAGES: Sequence[tuple[str, Any, str]] = (
     ("fits to edges", EdgeRefinement, "_sharpened"),
     ("ICP", CadTracker, "_register_all"),
     ("motion of the camera", FeatureTracks, "track"),
+    ("following the camera", pipeline, "follow_camera"),
     ("anomalies", pipeline, "gather_evidence"),
     ("anomalies", pipeline, "find_anomalies"),
     ("confidence and smoothing", RawTrack, "features"),
