@@ -138,6 +138,10 @@ def robots(as_json: bool) -> None:
         click.echo(dump([*listed], indent=1), nl=False)
         return
     for arm in listed:
-        names = {key: kinds for key in ("checked", "unchecked") if isinstance(kinds := arm.get(key), list)}
-        limits = (f"{key} limits: {', '.join(map(str, kinds)) or 'none'}" for key, kinds in names.items())
-        click.echo(f"{arm['name']}: {arm['title']}; {'; '.join(limits) or arm['missing']}; {arm['source']}")
+        kinds = {
+            key: ", ".join(map(str, own)) for key in ("checked", "unchecked") if isinstance(own := arm.get(key), list)
+        }
+        limits = [f"limits {key}: {names}" for key, names in kinds.items() if names]
+        lines = [arm["title"], *limits, *filter(None, [arm.get("missing")]), f"sources: {arm['source']}"]
+        paragraphs = [click.wrap_text(str(line), 110, " " * 14, " " * 16) for line in lines]
+        click.echo(f"{arm['name']:14}" + "\n".join(paragraphs).lstrip())
