@@ -97,8 +97,7 @@ class ArmWorker:
         t_s = np.asarray(PERIOD_S * np.arange(FRAMES), dtype=np.float64)
         q: Array = np.asarray(a + rise * (b - a), dtype=np.float64)
         speed = 1.875 * np.abs(b - a) / t_s[-1]  # the peak of a minimum-jerk move
-        touching = self.plant.query(b).ComputeSignedDistancePairwiseClosestPoints(0.0)
-        own_m = min((pair.distance for pair in touching), default=0.0)
+        own_m = max(self._depth(b, gap_m) for gap_m in (0.0, None))  # as the gap of the fingers is not recorded
         contacts = {"self_collision": own_m, "table_collision": self._height(q)}
         if fault in contacts:
             return (t_s, q, None) if contacts[fault] < -DEPTH_M else None
@@ -128,6 +127,10 @@ class ArmWorker:
 
     def _height(self, q: Array) -> float:
         return float(np.nan_to_num(self._body.table_distance(q[::6]).distance_m, nan=1.0).min())
+
+    def _depth(self, q: Array, gap_m: float | None) -> float:
+        pairs = self.plant.query(q, gap_m).ComputeSignedDistancePairwiseClosestPoints(0.0)
+        return float(min((pair.distance for pair in pairs), default=0.0))
 
     def _is_clean(self, q: Array, v: Array) -> bool:
         """Return whether a motion (T, J) [rad] with these speeds [rad/s] keeps every limit by a margin."""
