@@ -93,9 +93,11 @@ def settle_free_turns(plant: ArmPlant, X_BG: Array) -> Array:
     if len(plant.lower) > 5:
         return X_BG
     settled = X_BG.copy()
-    q = plant.robot.rest_q
     finite = np.isfinite(X_BG).all(axis=(1, 2))
-    for i in np.flatnonzero(finite & ~(posture_solver(plant).out_of_reach_m(X_BG) > 0.0)):
+    rows = np.flatnonzero(finite & ~(posture_solver(plant).out_of_reach_m(X_BG) > 0.0))
+    chosen: dict[int, Array] = {}
+    q = plant.robot.rest_q
+    for i in rows:
         near, error = solve_newton(plant, X_BG[i], q, iterations=20)
         reaching = near[None]
         if error > REACHED_M or pose_difference(plant.forward(near), X_BG[i])[1] > ROTATION_TOLERANCE_RAD:
@@ -103,15 +105,26 @@ def settle_free_turns(plant: ArmPlant, X_BG: Array) -> Array:
             postures = solve_newton_rows(plant, np.broadcast_to(X_BG[i], (len(starts), 4, 4)), starts)
             postures = postures[np.isfinite(postures).all(axis=-1)]
             reaching = np.vstack([near, postures]) if error <= REACHED_M or not len(postures) else postures
-        past = limit_excess(plant, reaching).max(axis=-1)
-        turns = pose_difference(plant.forward_path(reaching), X_BG[i])[1]
-        q = reaching[np.argmin(turns + np.where(past > 0.0, np.pi + past, 0.0))]
+        q = reaching[np.argmin(_turn_costs(plant, X_BG[i], reaching))]
+        chosen[i] = q
+    for i, after in zip(rows[-2::-1], rows[:0:-1], strict=True):  # what the search finds late leads back
+        near, error = solve_newton(plant, X_BG[i], chosen[after], iterations=20)
+        both = np.stack([chosen[i], near])
+        if error <= REACHED_M and np.subtract(*_turn_costs(plant, X_BG[i], both)) > ROTATION_TOLERANCE_RAD:
+            chosen[i] = near
+    for i, q in chosen.items():
         X_now, J = plant.forward_and_jacobian(q)
         weight = np.repeat([ROTATION_ARM_M, 1.0], 3)
         error_G = weight * pose_twists(X_BG[[i]], X_now[None])[0]
         free = (error_G - followed_error(weight[:, None] * J, error_G)[0])[:3] / ROTATION_ARM_M
         settled[i, :3, :3] = rotation_exp(free) @ X_BG[i, :3, :3]
     return settled
+
+
+def _turn_costs(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
+    """Return the turns (N,) [rad] from postures (N, J) to a pose (4, 4), beyond half a turn if past a limit."""
+    past = limit_excess(plant, q).max(axis=-1)
+    return pose_difference(plant.forward_path(q), X_BG)[1] + np.where(past > 0.0, np.pi + past, 0.0)
 
 
 def verify_path(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array) -> JointTrack:

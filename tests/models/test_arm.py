@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.geometry import rotation_exp
+from kinebench_drake.geometry import pose_difference, rotation_exp
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.ik import solve_pose
 from kinebench_drake.kinematics.manipulability import compute_manipulability
@@ -247,6 +247,15 @@ def test_five_joints_follow_position_and_axis_and_six_the_whole_pose(write_arm: 
             np.testing.assert_allclose(settled, X, atol=1e-6)
         else:
             np.testing.assert_array_equal(settled, turned)
+
+
+def test_a_motion_of_five_joints_that_starts_near_a_singularity_keeps_its_turns() -> None:
+    """Poses next to a singularity, at which the search misses the whole pose, get it from the poses after them."""
+    plant = ArmPlant(load_robot("g1_left"))
+    ends = np.array([[2.157, 1.801, -1.370, 0.929, 1.877], [2.120, 1.313, 0.562, 1.161, 0.129]])
+    s = np.linspace(0.0, 1.0, 49)[:, None]
+    X_BG = plant.forward_path(ends[0] + (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5) * (ends[1] - ends[0]))
+    assert pose_difference(settle_free_turns(plant, X_BG), X_BG)[1].max() < 1e-6
 
 
 def test_a_floating_joint_is_fixed_and_fingers_open_either_way(write_arm: Write) -> None:
