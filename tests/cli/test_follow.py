@@ -9,6 +9,7 @@ import pytest
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UnmeasurableError, UsageError
 from kinebench_drake.geometry import make_pose, to_quaternion
+from kinebench_drake.grounding.camera.links import LagEstimate
 from kinebench_drake.models.panda.description import GripperKind
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track
@@ -151,8 +152,8 @@ class Linked(Tools):
         def compare(frames, camera, postures):
             return np.array([np.exp(-20.0 * np.abs(q[:, :3] - motion()[1::2]).sum(axis=1)) for q in postures])
 
-        lag = SimpleNamespace(lag=SimpleNamespace(frames=0.0))
-        fit = SimpleNamespace(camera=benchmark_camera(), links=lag)
+        lag = LagEstimate(frames=0.0, agreement=0.6, runner_up=0.4)
+        fit = SimpleNamespace(camera=benchmark_camera(), links=SimpleNamespace(lag=lag))
         return SimpleNamespace(calibrate=lambda *_, **__: fit, compare_links=compare)
 
 

@@ -102,4 +102,4 @@ def test_an_invalid_key_is_named_with_the_valid_ones(keys, message):
 
 def test_the_reading_files_of_the_documentation_are_valid():
     lines = re.findall(r"^    (\{.*?\}) {2,}\S", DOCS.read_text(), re.MULTILINE)
-    assert len([Reading.parse(json.loads(line)) for line in lines]) == 9
+    assert len([Reading.parse(json.loads(line)) for line in lines]) == 10
