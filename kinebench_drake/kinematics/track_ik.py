@@ -94,7 +94,7 @@ def settle_free_turns(plant: ArmPlant, X_BG: Array) -> Array:
         return X_BG
     settled = X_BG.copy()
     finite = np.isfinite(X_BG).all(axis=(1, 2))
-    rows = np.flatnonzero(finite & ~(posture_solver(plant).out_of_reach_m(X_BG) > 0.0))
+    rows = [*map(int, np.flatnonzero(finite & ~(posture_solver(plant).out_of_reach_m(X_BG) > 0.0)))]
     chosen: dict[int, Array] = {}
     q = plant.robot.rest_q
     for i in rows:
