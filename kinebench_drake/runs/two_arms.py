@@ -112,7 +112,8 @@ def find_arm_collisions(
         contacts = [contact for contact in contacts if contact.of_tools]
     if not contacts:
         return [], doubt
-    smooth = pair.contacts([result.curves["q_smooth"] for result in results], widths, tolerance_m)
+    closed = [np.nan_to_num(width) for width in widths]  # of an unknown gap, contacts of open fingers alone are none
+    smooth = pair.contacts([result.curves["q_smooth"] for result in results], closed, tolerance_m)
     depths = np.array([np.nan_to_num(contact.distance_m) for contact in contacts])
     again = np.array([np.isfinite(contact.distance_m) for contact in smooth]).any(axis=0)
     violations = []

@@ -1,16 +1,19 @@
 """Two arms in a row: each judged, their collisions found, one row that says which arm."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from kinebench_drake.cli import main
 from kinebench_drake.errors import UsageError
+from kinebench_drake.kinematics.arm_pair import PairContact
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.arm import list_arms, load_robot
 from kinebench_drake.results.store import read_rows
 from kinebench_drake.runs.audit import AuditConfig, audit_trajectories
+from kinebench_drake.runs.two_arms import find_arm_collisions
 from tests.arm_sets import minimum_jerk, write_episodes
 
 N = 60
@@ -144,3 +147,25 @@ def test_arms_without_a_place_are_refused(panda, audit, tmp_path, arms, reason):
     np.savez(tmp_path / "a.npz", **paths(panda, MOVE, MIRROR * MOVE))
     with pytest.raises(UsageError, match=reason):
         audit(tmp_path / "a.npz", {"arms": arms})
+
+
+class OpenFingers:
+    """Pair of arms whose open fingers alone meet."""
+
+    def contacts(self, q, finger_width_m, tolerance_m):
+        is_open = np.nan_to_num(finger_width_m[0], nan=0.08) > 0.04
+        depth = np.where(is_open, -0.01, np.nan)
+        return [PairContact(links=("leftfinger", "hand"), of_tools=True, distance_m=depth)] if is_open.any() else []
+
+
+@pytest.mark.parametrize(("gap_m", "count"), [(np.nan, 0), (0.08, 1), (0.0, 0)])
+def test_fingers_of_an_unknown_gap_do_not_collide_by_being_open(gap_m, count):
+    q = np.zeros((N, 7))
+    arm = SimpleNamespace(
+        contact_tolerance_m=0.002,
+        track=SimpleNamespace(finger_width_m=np.full(N, gap_m)),
+        joints=SimpleNamespace(q=q),
+        curves={"q_smooth": q},
+    )
+    violations, doubt = find_arm_collisions(OpenFingers(), [arm, arm], ["left", "right"], of_poses=False)
+    assert (len(violations), doubt) == (count, None)
